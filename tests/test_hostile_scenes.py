@@ -40,7 +40,7 @@ from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.guard.loaded import BYTES_PER_BYTE, MIN_BYTES, check_files
 from pixsim.scene.guard.plugins import PLUGINS
 from pixsim.scene.job import OutOfTimeError, TraceJob
-from pixsim.scene.mitsuba import parse, speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session, parse
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import nodes_of, parse_tree, tree_of
@@ -243,7 +243,7 @@ def test_parameter_goes_in_as_in_mitsuba(tmp_path):
     path = scene_of(tmp_path, body)
     state = parse(open_scene(path, {}).text, VARIANT)
     assert state.nodes[-1].props.id() == "1 2 2c 2 $ab $a"
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         path.write_text(
             path.read_text().replace(" $d", "")
         )  # Mitsuba puts parameters into parameters
@@ -556,7 +556,7 @@ def test_spectrum_of_a_file_equals_mitsubas(assets):
         "# nm, value\n\n400.123456789012 0.1234567890123456\n 5e2\t2e-1 x\n700 .4\n"
     )
     ((_, ours),) = nodes_of(tree_of(parse(open_scene(path, {}).text, VARIANT)), "BSDF")
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         ((_, stock),) = nodes_of(
             tree_of(mi.parser.parse_file(mi.parser.ParserConfig(VARIANT), str(path))), "BSDF"
         )
@@ -693,7 +693,7 @@ def test_computed_normals_repeat_bit_for_bit(tmp_path):
     ).text
 
     def normals() -> np.ndarray:
-        with speaking_mitsuba("llvm_ad_spectral") as mi:
+        with mitsuba_session("llvm_ad_spectral") as mi:
             tracer = InProcessTracer(TraceJob("llvm_ad_spectral", text, (None,), 0, {}, None, ()))
             parameters = mi.traverse(tracer._build(mi, None))
             return np.array(

@@ -16,7 +16,7 @@ from pixsim.base import cache, machine
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.version import VERSION
-from pixsim.scene.trial import attempt
+from pixsim.scene.trial import trial_render
 from pixsim.scene.variants import graphics, variant
 from pixsim.show.document import Document, DocumentTable
 
@@ -52,7 +52,7 @@ def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
     if limit_s is not None and not 0 < limit_s < float("inf"):
         raise invalid("--limit-s", f"{limit_s:g}", "a number above 0")
 
-    card = graphics.verdict(again=True)
+    card = graphics.graphics_trial(again=True)
     packages = {name: metadata.version(name) for name in _required()}
     python = (
         f"{platform.python_version()} ({sys.executable}), {platform.platform()},"
@@ -141,7 +141,7 @@ def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
 
 
 def _test_render(limit_s: float) -> Diagnosis:
-    trial = attempt(limit_s=limit_s)
+    trial = trial_render(limit_s=limit_s)
     facts = {**trial.facts, "seconds": trial.seconds}
     name = trial.facts.get("variant")
     if fault := trial.fault:
@@ -149,7 +149,7 @@ def _test_render(limit_s: float) -> Diagnosis:
             fault = f"{fault}; a machine under load may need longer: --limit-s {3 * limit_s:g}"
         # A refusal says how to mend it
         mend = None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"
-        if name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None:
+        if name != variant.SCALAR and trial_render(variant.SCALAR, limit_s=limit_s).fault is None:
             mend = f"pixsim run csf --variant {variant.SCALAR}"
         return Diagnosis("test render", PROBLEM, fault, mend, facts)
     text = (

@@ -41,7 +41,7 @@ from pixsim.report.wording import (
     unconverged,
     view_words,
 )
-from pixsim.scene.convergence import without_clock
+from pixsim.scene.convergence import repeatable_settings
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
@@ -741,7 +741,7 @@ def _settings_to_repeat(job: Job[Run], irradiance: SpectralImage) -> Run:
         "display": job.complete.display,
         "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene),
     }
-    return without_clock(job.stated, irradiance).model_copy(update=view)
+    return repeatable_settings(job.stated, irradiance).model_copy(update=view)
 
 
 def _absolute_source(job: Job[Run]) -> str:

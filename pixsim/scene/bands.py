@@ -164,7 +164,7 @@ def place_bands(
     edges_nm = band_edges_nm(span)
     lights = [resolved(lamp, surfaces, span) for lamp in lamps]
     while True:
-        bands = _shaped(edges_nm, lamps)
+        bands = _weighted_bands(edges_nm, lamps)
         errors = [band_errors(bands, light, detectors) for light in lights]
         largest = max((float(np.abs(error.sum(axis=2)).max()) for error in errors), default=0.0)
         if largest <= tolerance or edges_nm.size > MAX_BANDS:
@@ -224,7 +224,7 @@ def _with_neutral(surfaces: Array, nm: Array, span: Span) -> Array:
     return np.array([np.interp(nm, surfaces_nm, surface) for surface in (neutral, *surfaces)])
 
 
-def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
+def _weighted_bands(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
     """Return bands with the light of all lamps, at equal energy each, in ten parts at their
     centroids.
     """

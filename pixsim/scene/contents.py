@@ -30,7 +30,7 @@ from pixsim.light.spectral import (
 )
 from pixsim.optics.camera import Camera
 from pixsim.scene.job import AssetFile, irregular
-from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, warnings_of
+from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, plugin_warnings
 from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_share, check_texels
 from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, numbers, plain
 
@@ -260,11 +260,11 @@ def warnings_of_skies(state: Tree, variant: str) -> list[str]:
         for name, value in plain(node):
             if isinstance(value, int | float | list):
                 description[name] = value
-        warnings += [f"{node.plugin}: {text}" for text in warnings_of(description, variant)]
+        warnings += [f"{node.plugin}: {text}" for text in plugin_warnings(description, variant)]
     return warnings
 
 
-def checked_lamps(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
+def lamps_in_range(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
     """Return the lamps that emit light in a range. Raises PixsimError if a radiance is negative or
     not finite.
     """
@@ -279,7 +279,7 @@ def checked_lamps(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
     ]
 
 
-def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
+def white_spectra(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
     """Return the spectra that add up to the light of the scene's white, in one unit; none if that
     is unknown.
 
@@ -483,15 +483,15 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
                 fresnel = _metal_reflectances(state, node, variant, surfaces.span)
             except PixsimError as error:
                 # Mitsuba names no element in a description that pixsim makes.
-                raise PixsimError(f"the index of {words_of(node)}: {error}") from None
+                raise PixsimError(f"the index of {node_words(node)}: {error}") from None
             if surfaces.span != VISIBLE:
-                surfaces.ending.append(f"the metal of {words_of(node)}")
+                surfaces.ending.append(f"the metal of {node_words(node)}")
         spectra += fresnel
 
         for name in SPECTRA[plugin]:
             if name not in node:
                 continue
-            words = f"{name} of {words_of(node)}"
+            words = f"{name} of {node_words(node)}"
             colours = _property(state, index, name, variant, surfaces, words)
             spectra += colours
             if plugin in INSIDE:
@@ -548,7 +548,7 @@ def _metal_reflectances(state: Tree, node: Node, variant: str, span: Span) -> li
         if name in textures:
             texture = state.nodes[textures[name]]
             if texture.plugin not in ("uniform", "regular", "irregular"):
-                raise _UnknownError(f"an unknown refractive index of {words_of(node)}")
+                raise _UnknownError(f"an unknown refractive index of {node_words(node)}")
             description[name] = {"type": texture.plugin, **dict(plain(texture))}
         elif name in node:
             value = node[name]
@@ -614,7 +614,7 @@ class Body:
         return bool(np.any(z > _IN_FRONT_M))
 
 
-def matrix_of(node: Node, name: str = "to_world") -> Array:
+def transform_matrix(node: Node, name: str = "to_world") -> Array:
     return np.array(node[name]) if name in node else np.eye(4)
 
 
@@ -622,7 +622,7 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
     """Return every shape that may be in view; the members of a shape group are placed at its
     instances.
     """
-    to_camera = np.asarray(np.linalg.inv(matrix_of(sensor)), float)
+    to_camera = np.asarray(np.linalg.inv(transform_matrix(sensor)), float)
     shapes = nodes_of(state, "Shape")
     group_of_member = {
         member: index
@@ -641,7 +641,7 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
                 state.nodes[member] for member, owner in group_of_member.items() if owner == group
             ]
             box = _group_box(members)
-            to_frame, normal = to_camera @ matrix_of(node), None
+            to_frame, normal = to_camera @ transform_matrix(node), None
         else:
             box = _box(node)
             to_frame, normal = to_camera, _facing(to_camera, node)
@@ -675,7 +675,7 @@ def _box(node: Node) -> Array | None:
         corners = np.vstack([end + radius * cube for end in ends])
     else:
         return None
-    return _transformed(matrix_of(node), corners)
+    return _transformed(transform_matrix(node), corners)
 
 
 def _facing(to_camera: Array, node: Node) -> Array | None:
@@ -683,7 +683,7 @@ def _facing(to_camera: Array, node: Node) -> Array | None:
     if node.plugin not in FLAT:
         return None
     # Normals transform by the inverse transpose, so that a mirrored shape keeps its front side.
-    normal = np.linalg.inv((to_camera @ matrix_of(node))[:3, :3])[2]
+    normal = np.linalg.inv((to_camera @ transform_matrix(node))[:3, :3])[2]
     if node.get("flip_normals", False):
         normal = -normal
     return np.asarray(normal / np.linalg.norm(normal))
@@ -743,7 +743,7 @@ _MAP_NAMES = (
 )
 
 
-def named_files(state: Tree) -> list[Path]:
+def files_of_scene(state: Tree) -> list[Path]:
     """Return the files of all nodes: pictures, meshes and volumes."""
     return [_file_of(node) for node in state.nodes if "filename" in node]
 
@@ -798,7 +798,7 @@ def check_shares(state: Tree) -> None:
         for name in node:
             if _is_share(node, name):
                 highest = max(_numbers_of(state, node, name), default=0.0)
-                check_share(highest, f"{node.plugin}.{name}", f"bsdf {words_of(node)}")
+                check_share(highest, f"{node.plugin}.{name}", f"bsdf {node_words(node)}")
 
 
 def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
@@ -823,7 +823,7 @@ def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
     return []
 
 
-def words_of(node: Node) -> str:
+def node_words(node: Node) -> str:
     """Return the id of a node that has one, or its plugin, for messages."""
     return f"'{node.id}'" if node.id and not node.id.startswith("_") else f"a {node.plugin}"
 
@@ -940,7 +940,7 @@ def emitted_picture(state: Tree, emitter: Node) -> _EmittedPicture | None:
     if "filename" not in node:
         return None
     path = _file_of(node)
-    to_uv = matrix_of(node, "to_uv")
+    to_uv = transform_matrix(node, "to_uv")
     is_upright = np.allclose(np.abs(to_uv[:2, :2]), np.eye(2))
     is_centred = np.allclose(to_uv[:2, :2].sum(axis=1) / 2 + to_uv[:2, 3], 0.5)
     if path.suffix.lower() != ".exr" or not is_upright or not is_centred:

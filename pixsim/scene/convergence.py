@@ -158,7 +158,7 @@ def render_until(
     pairs_at_level = 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
     note = ""
-    progress = progress and _never_back(progress)
+    progress = progress and _increasing(progress)
     ended: _EndedBy | None = None
     while ended is None:
         pair = _pair(renderer, runs, level, weight, needed, progress, note)
@@ -181,7 +181,7 @@ def render_until(
         pairs_at_level += 1
 
         # Noise
-        fraction, relative = noise_of(renderer, halves, weight, derived, exposure)
+        fraction, relative = _noise_of_halves(renderer, halves, weight, derived, exposure)
         measure = delta_e_between if tolerance_delta_e else None
         delta_e = _halves_delta_e(renderer, halves, weight, measure)
         noise = RenderNoise(
@@ -256,7 +256,7 @@ def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _E
     return "runs" if noise.runs >= MAX_RUNS else None
 
 
-def _never_back(progress: Progress) -> Progress:
+def _increasing(progress: Progress) -> Progress:
     """Return a progress that never goes back, though the rest of a render is known from its
     noise only.
     """
@@ -381,7 +381,7 @@ ROUNDING = 1e-5  # of the noise in an image's header
 Settings = TypeVar("Settings", bound=Effort)
 
 
-def without_clock(settings: Settings, image: SpectralImage) -> Settings:
+def repeatable_settings(settings: Settings, image: SpectralImage) -> Settings:
     """Return the settings that make the same picture again, whatever the clock says.
 
     A time limit may have ended the render, whose noise is then the target, and may have chosen the
@@ -400,7 +400,7 @@ def without_clock(settings: Settings, image: SpectralImage) -> Settings:
     return settings.model_copy(update=no_limit)
 
 
-def noise_of(
+def _noise_of_halves(
     renderer: Renderer,
     halves: list[list[Array]],
     weight: float,

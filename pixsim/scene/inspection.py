@@ -32,13 +32,13 @@ from pixsim.scene.contents import (
     Lamp,
     Surfaces,
     check_shares,
-    checked_lamps,
     find_bodies,
     find_lamps,
     find_surfaces,
+    lamps_in_range,
     planck,
     warnings_of_skies,
-    white_of,
+    white_spectra,
 )
 from pixsim.scene.scene import Scene, sensor_node
 from pixsim.scene.tree import Node, Tree, nodes_of
@@ -146,7 +146,7 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
     check_shares(state)
     all_lamps = find_lamps(state, reading)
     span = span_of([lamp.spectrum for lamp in all_lamps if lamp.spectrum is not None], pixels)
-    lamps = checked_lamps(all_lamps, span)
+    lamps = lamps_in_range(all_lamps, span)
     if not lamps:
         raise _no_light(span)
     surfaces = find_surfaces(state, reading, span, scene.beyond_tables)
@@ -164,7 +164,7 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
         all_lamps=all_lamps,
         lamps=lamps,
         surfaces=surfaces,
-        white=white_of(state, all_lamps if scene.white_lamps else lamps, scene.white_lamps),
+        white=white_spectra(state, all_lamps if scene.white_lamps else lamps, scene.white_lamps),
         pixels=pixels,
     )
 

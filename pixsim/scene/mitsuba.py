@@ -92,12 +92,12 @@ def drjit() -> ModuleType:
 
 def read_bitmap(path: Path, variant: str) -> NDArray[Any]:
     """Read a picture as stored, (H, W, channels). Raises PixsimError if Mitsuba cannot."""
-    with speaking_mitsuba(variant) as mi:
+    with mitsuba_session(variant) as mi:
         return np.array(mi.Bitmap(os.path.abspath(path)), copy=True)
 
 
 @contextmanager
-def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
+def mitsuba_session(variant: str) -> Iterator[ModuleType]:
     """Give Mitsuba with only its own folder on its search path, and turn its errors into
     PixsimError.
 
@@ -141,7 +141,7 @@ def parse(text: str, variant: str) -> ParserState:
     """Return Mitsuba's parser state, the tree of nodes before objects are built, of an inspected
     text.
     """
-    with speaking_mitsuba(variant) as mi:
+    with mitsuba_session(variant) as mi:
         return mi.parser.parse_string(mi.parser.ParserConfig(variant), text)
 
 
@@ -151,7 +151,7 @@ def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
     """
 
     def compute() -> Array:
-        with speaking_mitsuba(variant) as mi:
+        with mitsuba_session(variant) as mi:
             return _at_each_wavelength(mi, variant, mi.load_dict(description).eval)
 
     def read(content: dict[str, Any]) -> Array:
@@ -163,14 +163,14 @@ def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
     )
 
 
-def warnings_of(description: dict[str, Any], variant: str) -> list[str]:
+def plugin_warnings(description: dict[str, Any], variant: str) -> list[str]:
     """Return what Mitsuba warns of while it builds a plugin; from the cache where it is known.
 
     description : values as JSON has them; `to_world` as the rows of a matrix
     """
 
     def compute() -> list[str]:
-        with speaking_mitsuba(variant) as mi:
+        with mitsuba_session(variant) as mi:
             values = description.copy()
             if "to_world" in values:
                 values["to_world"] = mi.ScalarTransform4f(np.array(values["to_world"]))
@@ -225,7 +225,7 @@ def evaluate_reflection(
     """Return the reflectance of a smooth conductor at an angle to its normal, over a range in steps
     of 1 nm.
     """
-    with speaking_mitsuba(variant) as mi:
+    with mitsuba_session(variant) as mi:
         bsdf, context = mi.load_dict(description), mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
 

@@ -108,11 +108,11 @@ def read_luminance(path: str | os.PathLike[str], linear: bool = False) -> NDArra
     with opened(path, "chart picture", ALLOWED):
         pass
     if suffix == ".exr":
-        values = _of_exr(path)
+        values = _exr_luminance(path)
     elif suffix == ".hdr":
-        values = _luminance(_of_mitsuba(path))
+        values = _luminance(_mitsuba_values(path))
     else:
-        codes = _codes(path)
+        codes = _decoded_codes(path)
         values = _luminance(codes if linear else srgb_decoded(codes))
     if not (values.size and np.isfinite(values).all() and values.min() >= 0 and values.max() > 0):
         got = f"values from {values.min():g} to {values.max():g}" if values.size else "no values"
@@ -158,7 +158,7 @@ def _luminance(values: Array) -> Array:
     return red + green + blue
 
 
-def _codes(path: Path) -> Array:
+def _decoded_codes(path: Path) -> Array:
     """Return the values of a PNG, JPEG or TIFF, in [0, 1], upright: (H, W) or (H, W, 3)."""
     from PIL import Image
 
@@ -202,7 +202,7 @@ def _codes_of_image(path: Path, image: Image.Image) -> tuple[Array, bool]:
         raise invalid(f"chart picture '{path}'", f"values of mode {image.mode}", ALLOWED)
     # Pillow cuts a PNG of 16 bits in colour to 8 bits.
     if image.format == "PNG" and _png_depth(path) == 16:
-        return np.asarray(_of_mitsuba(path)) / 65535, False
+        return np.asarray(_mitsuba_values(path)) / 65535, False
 
     bits_per_sample = getattr(image, "tag_v2", {}).get(258, 8)  # a tag of TIFF
     mode = "L" if image.mode in ("1", "L", "LA") else "RGB"
@@ -216,7 +216,7 @@ def _png_depth(path: Path) -> int:
         return file.read(25)[24]
 
 
-def _of_exr(path: Path) -> Array:
+def _exr_luminance(path: Path) -> Array:
     """Return the luminance of an EXR: its channel Y or only channel, or from R, G and B."""
     channels = read_channels(path)[0]
     names = {name.rpartition(".")[2].upper(): name for name in channels}
@@ -229,7 +229,7 @@ def _of_exr(path: Path) -> Array:
     )
 
 
-def _of_mitsuba(path: Path) -> Array:
+def _mitsuba_values(path: Path) -> Array:
     """Return the values of a picture that Pillow does not read in full: Radiance HDR, or a PNG of
     16 bits in colour.
     """

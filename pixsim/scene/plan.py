@@ -40,7 +40,7 @@ from pixsim.scene.inspection import Inspection, inspect_scene
 from pixsim.scene.real_lens import decide_real_lens, out_of_focus, real_lens_warnings
 from pixsim.scene.rules import TEXTURE_SAMPLES, TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count
-from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
+from pixsim.scene.white_plate import plate_distance_m, plate_transform
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
@@ -412,11 +412,11 @@ def _plan_white_plate(
     """Return how a white plate in a scene is rendered."""
     camera, sensor = inspection.camera, inspection.sensor
     focus_m = camera.object_distance_m
-    distance_m = distance_of_plate_m(inspection.state, sensor, focus_m)
+    distance_m = plate_distance_m(inspection.state, sensor, focus_m)
     scene = replace(
         inspection.scene,
         diffuser=False,
-        plate=place_of_plate(sensor, distance_m, focus_m),
+        plate=plate_transform(sensor, distance_m, focus_m),
         resolution=white_plate.RESOLUTION,
         _texts={},
     )

@@ -49,7 +49,7 @@ from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
 from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, nodes_of, parse_tree
-from pixsim.scene.white_plate import dark_plate
+from pixsim.scene.white_plate import dark_plate_error
 
 
 def film(
@@ -84,7 +84,7 @@ def film_response(pulse: Pulse) -> dict[str, Any]:
     return regular(pulse.low_nm, pulse.high_nm, pulse.values)
 
 
-def passes_of(fit: Fit, span: Span = VISIBLE) -> Passes | None:
+def shared_passes(fit: Fit, span: Span = VISIBLE) -> Passes | None:
     """Return the passes of a light that are traced together, or None for fewer than two."""
     if len(fit.passes) < 2:
         return None
@@ -380,7 +380,9 @@ class Renderer:
             integrator=plan.samples.integrator,
             tables=(*regular_tables, *held_tables),
             size=self.rendered_size,
-            passes=tuple(passes_of(light.fit, plan.light.bands.span) for light in plan.light.lamps),
+            passes=tuple(
+                shared_passes(light.fit, plan.light.bands.span) for light in plan.light.lamps
+            ),
             files=asset_files(state),
         )
 
@@ -792,7 +794,7 @@ def _plate_spectrum(
         if standard_error <= white_plate.NOISE * power.mean():
             break
     if not per_nm @ bands.width_nm > 0:
-        raise dark_plate(plate.distance_m)
+        raise dark_plate_error(plate.distance_m)
 
     nodes_nm = np.repeat(bands.edges_nm, 2)[1:-1]
     return Spectrum(nodes_nm, np.repeat(np.maximum(per_nm, 0.0), 2))

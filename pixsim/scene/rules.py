@@ -71,7 +71,7 @@ _ALIGNED = 1e-6  # of a chart's half width: tolerance for its position, rotation
 ENDS = 1e-4
 
 # Emitters that look the same from every point of the lens, or cannot be seen.
-DIFFUSE_EMITTERS = ("area", "constant", "point", "spot", "directional", "projector")
+_DIFFUSE_EMITTERS = ("area", "constant", "point", "spot", "directional", "projector")
 BACKGROUNDS = frozenset(("constant", "envmap", "sunsky", "sky"))  # seen beyond all shapes
 
 
@@ -156,7 +156,7 @@ class Chart:
         """
         if self.nearest and not self.uniform:
             return math.inf
-        return finest_detail(self)
+        return _finest_detail(self)
 
     @property
     def uniform(self) -> bool:
@@ -185,7 +185,7 @@ def _by_content(function: Callable[..., float]) -> Callable[..., float]:
 
 
 @_by_content
-def finest_detail(chart: Chart) -> float:
+def _finest_detail(chart: Chart) -> float:
     """Return the half periods of a chart's finest detail across the film, as in
     `Chart.details`.
     """
@@ -422,7 +422,7 @@ def decide_lens(
         reason = "a medium"
     elif glossy:
         reason = f"'{glossy[0]}' looks different across the lens; {blur}"
-    elif not emitters <= set(DIFFUSE_EMITTERS):
+    elif not emitters <= set(_DIFFUSE_EMITTERS):
         reason = "a picture at infinity, or an emitter that is not diffuse"
     elif error > tolerance_e * BLUR_SHARE:
         reason = f"not all in focus: {blur}; more samples reduce the noise"

@@ -28,11 +28,11 @@ from pixsim.scene import charts
 from pixsim.scene.contents import (
     Beyond,
     check_textures,
+    files_of_scene,
     find_lamp,
     find_lamps,
     is_neutral,
-    named_files,
-    white_of,
+    white_spectra,
 )
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.guard.files import ASSETS
@@ -498,7 +498,7 @@ def _with_white_lamps(scene: Scene, text: SceneText, names: object) -> Scene:
     white_lamps = tuple(dict.fromkeys(words.replace(",", " ").split()))
     if not white_lamps:
         return scene
-    white_of(state, find_lamps(state, scene.choice.reading), white_lamps)
+    white_spectra(state, find_lamps(state, scene.choice.reading), white_lamps)
     return replace(scene, white_lamps=white_lamps)
 
 
@@ -854,7 +854,7 @@ def hash_of_tree(state: Tree) -> str:
                 text = Path(text).name
             values.append((name, text))
         tree.append([node.kind, node.plugin, sorted(values), sorted(children(node, state).items())])
-    return content_hash([tree, [digest_of(path) for path in named_files(state)]])
+    return content_hash([tree, [digest_of(path) for path in files_of_scene(state)]])
 
 
 def _all_digits(value: object) -> str:

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 # Kinds of properties that are other nodes.
 REFERENCES = ("ResolvedReference", "Reference", "Object")
-MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
+MAX_CACHED_CHARACTERS = 1 << 20  # characters of a scene whose tree is kept
 _MAX_NESTED = 24  # references within references
 _MIN_VOLUME = 1e-200  # of a transformed unit cube
 # Of a table: one whose numbers are so in another unit, and not in nm, has that unit.
 _LIKELY_NM = (150.0, 3000.0)
 # Characters of a scene whose tree stays in memory, and how many do.
-MAX_SMALL, SMALL_TREES = 1 << 16, 32
+_MAX_CHARACTERS, _MAX_TREES = 1 << 16, 32
 
 
 @dataclass(frozen=True)
@@ -143,12 +143,14 @@ def parse_tree(text: str, variant: str) -> Tree:
     """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it, and as
     `_check_tree` does.
     """
-    if len(text) > MAX_TEXT:
+    if len(text) > MAX_CACHED_CHARACTERS:
         return _check_tree(tree_of(parse(text, variant)))
-    return _last_trees(text, variant) if len(text) <= MAX_SMALL else _kept_tree(text, variant)
+    return (
+        _recent_tree(text, variant) if len(text) <= _MAX_CHARACTERS else _cached_tree(text, variant)
+    )
 
 
-def _kept_tree(text: str, variant: str) -> Tree:
+def _cached_tree(text: str, variant: str) -> Tree:
     """Return the tree of a text, which is kept in the cache."""
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, text])
     return cache.load_or_compute(
@@ -156,7 +158,7 @@ def _kept_tree(text: str, variant: str) -> Tree:
     )
 
 
-_last_trees = lru_cache(SMALL_TREES)(_kept_tree)  # a case of a study asks for its trees ten times
+_recent_tree = lru_cache(_MAX_TREES)(_cached_tree)  # a case of a study asks for its trees ten times
 
 
 def tree_of(state: ParserState) -> Tree:

@@ -44,7 +44,7 @@ class Trial:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def attempt(variant: str | None = None, *, limit_s: float) -> Trial:
+def trial_render(variant: str | None = None, *, limit_s: float) -> Trial:
     """Render in a new process with the same module path.
 
     variant : of Mitsuba. None takes the default

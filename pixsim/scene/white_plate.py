@@ -15,7 +15,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.scene.contents import FLAT, matrix_of
+from pixsim.scene.contents import FLAT, transform_matrix
 from pixsim.scene.tree import Node, Tree, nodes_of
 
 # Of the object's distance: how far before the plane in focus it stands, so that a chart in that
@@ -32,14 +32,14 @@ LEVELS, NOISE = 6, 1e-3
 SEED = 0
 
 
-def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
+def plate_distance_m(state: Tree, sensor: Node, focus_m: float) -> float:
     """Return the distance from the lens at which a plate stands: just before the plane in focus.
 
     Where the axis meets a rectangle, a disc, a sphere, a cube or a cylinder nearer than that, it is
     just before this one. Objects that contain the lens, as a room does, are left out, and so are
     meshes.
     """
-    lens, axis = matrix_of(sensor)[:3, 3], matrix_of(sensor)[:3, 2]
+    lens, axis = transform_matrix(sensor)[:3, 3], transform_matrix(sensor)[:3, 2]
     steps_m = np.linspace(0.0, focus_m, STEPS + 1)
     nearest_m = focus_m
     for _, node in nodes_of(state, "Shape"):
@@ -52,7 +52,7 @@ def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
     return nearest_m * (1 - BEFORE)
 
 
-def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[float, ...]:
+def plate_transform(sensor: Node, distance_m: float, focus_m: float) -> tuple[float, ...]:
     """Return the transform of a rectangle of half side 1 to the plate, 16 numbers, row by row; its
     front faces the lens.
     """
@@ -60,13 +60,13 @@ def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[flo
     side_m = HALF_SIDE * focus_m
     plate = np.diag([-side_m, side_m, -side_m, 1.0])
     plate[2, 3] = distance_m
-    return tuple((matrix_of(sensor) @ plate).ravel().tolist())
+    return tuple((transform_matrix(sensor) @ plate).ravel().tolist())
 
 
 def _in_node(node: Node, points: Array, last: float = 1.0) -> Array:
     """Return points (..., 3) of the world, or directions (`last` = 0), in the frame of a shape."""
     homogeneous = np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1)
-    return np.asarray((homogeneous @ np.linalg.inv(matrix_of(node)).T)[..., :3])
+    return np.asarray((homogeneous @ np.linalg.inv(transform_matrix(node)).T)[..., :3])
 
 
 def _intersection_m(node: Node, lens: Array, axis: Array) -> float:
@@ -100,7 +100,7 @@ def _contains(node: Node, points: Array) -> Array:
     return np.asarray((along >= 0) & (along <= 1) & (from_axis <= radius))
 
 
-def dark_plate(distance_m: float) -> PixsimError:
+def dark_plate_error(distance_m: float) -> PixsimError:
     """Return the error for a plate that no light reaches."""
     return invalid(
         "display.white",

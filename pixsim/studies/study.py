@@ -111,7 +111,7 @@ def _repeated_settings(
     spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
     type_request : about its unknown numbers
     """
-    from pixsim.scene.convergence import without_clock
+    from pixsim.scene.convergence import repeatable_settings
 
     if isinstance(job.source, SpectralImage):
         arguments = "light=…"
@@ -126,7 +126,7 @@ def _repeated_settings(
         return settings_text(job.complete, command, spreads_of_study(job.complete, spreads))
 
     scene = job.source
-    settings = without_clock(job.complete, image)
+    settings = repeatable_settings(job.complete, image)
     file = settings.scene.file
     scene_tables = {
         "file": file if file in packaged_scenes() else str(scene.path),

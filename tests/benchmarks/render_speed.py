@@ -43,7 +43,7 @@ import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.progress import stages
 from pixsim.light.spectral import photons_per_joule
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, sensor_node
@@ -80,7 +80,7 @@ def plain_mitsuba(
             "wavelength_max": nm + half_nm,
             "values": "1, 1",
         }
-    with speaking_mitsuba(scene.choice.variant) as mi:
+    with mitsuba_session(scene.choice.variant) as mi:
         loaded = mi.load_file(str(scene.path), **scene.parameters)
         sensor = sensor_node(scene.parse(), None)[1]
         names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
@@ -88,7 +88,7 @@ def plain_mitsuba(
         lens["to_world"] = mi.ScalarTransform4f(lens["to_world"])
 
     def picture(spp: int, seed: int) -> np.ndarray:
-        with speaking_mitsuba(scene.choice.variant) as mi:
+        with mitsuba_session(scene.choice.variant) as mi:
             camera = mi.load_dict(
                 {
                     "type": "thinlens",

@@ -24,7 +24,7 @@ variants.choose()  # must precede the import of Mitsuba
 NEEDS_LLVM = pytest.mark.skipif(
     variants.find_llvm()[0] is None, reason="no LLVM 17 or newer here: scalar_spectral only"
 )
-NO_CARD = graphics.absent()
+NO_CARD = graphics.no_card_reason()
 NEEDS_CARD = pytest.mark.skipif(NO_CARD is not None, reason=f"no NVIDIA driver here: {NO_CARD}")
 NEEDS_NO_CARD = pytest.mark.skipif(NO_CARD is None, reason="an NVIDIA driver is installed here")
 VARIANTS = pytest.mark.parametrize(

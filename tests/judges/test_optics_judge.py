@@ -54,7 +54,7 @@ import pixsim
 from pixsim import optics
 from pixsim.light.spectral import luminous_weight, photons_per_joule
 from pixsim.optics import diffraction
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 
 ISETCAM = Path(__file__).parents[1] / "data" / "isetcam_optics" / "isetcam_optics.npz"
 Law = Callable[[float, float], float]  # E/L of f-number and tangent of the field angle
@@ -87,7 +87,7 @@ def disc_irradiance(f_number: float, tan_field: float) -> float:
     """E/L under a disc of radius 1/2N at height 1, tan_field off its axis, by Mitsuba's path tracer
     on a white plane.
     """
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         transform = mi.ScalarTransform4f
 
         def radiance(origin: list[float], target: list[float], samples: int) -> float:

@@ -32,7 +32,7 @@ from pixsim.scene.bands import (
     passes,
     place_bands,
 )
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.renderer import film, film_response
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
@@ -723,7 +723,7 @@ def test_render_pulses_add_no_spectral_noise(name, variant):
     else:
         result, _ = made(shipped(name), macbeth(), 1e-2)
         pulses = [result.pulses[index] for index in passes(len(result.pulses))[-1]]
-    with speaking_mitsuba(variant) as mi:
+    with mitsuba_session(variant) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in pulses])
     assert seen.shape[2] == len(pulses)
     # Every sample has one wavelength in each pulse, at which lamp over pulse is the same: float32
@@ -736,6 +736,6 @@ def test_render_pulses_add_no_spectral_noise(name, variant):
 @VARIANTS
 def test_render_adjoining_pulses_add_noise(variant):
     every = every_band(shipped("fl11"), place_bands([shipped("fl11")], NONE, DETECTORS, TOLERANCE))
-    with speaking_mitsuba(variant) as mi:
+    with mitsuba_session(variant) as mi:
         seen = furnace(mi, [film_response(pulse) for pulse in every.pulses[10:15]])
     assert seen.std(axis=(0, 1)).max() > 1e-2  # so the gate above means something

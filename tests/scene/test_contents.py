@@ -23,7 +23,7 @@ from pixsim.scene.contents import (
     find_surfaces,
     greatest_blur_um,
 )
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.scene import sensor_node
 
 # --- Blur ---
@@ -156,7 +156,7 @@ def test_find_bodies_corners_enclose_mitsubas_shape(plugin, tmp_path):
         tmp_path, "flat", (END, f'<shape type="{plugin}" id="thing">{SHAPES[plugin]}</shape>')
     )
     body = bodies_of(path)[1]
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         bounds = next(
             item for item in mi.load_file(str(path)).shapes() if item.id() == "thing"
         ).bbox()
@@ -236,7 +236,7 @@ def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
         ('x="$chart_half_width"', 'x="0.0001"'),
     )
     normal = bodies_of(path)[1].normal
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         hit = mi.load_file(str(path)).ray_intersect(mi.Ray3f([0.05, 0.03, 0], [0, 0, 1]))
         shaded = np.array(hit.sh_frame.n)
     np.testing.assert_allclose(normal, shaded, atol=1e-6)

@@ -27,7 +27,7 @@ from pixsim.scene.convergence import (
     RenderNoise,
     measured_parts,
     render_until,
-    without_clock,
+    repeatable_settings,
 )
 from pixsim.scene.guard import child
 from pixsim.scene.job import OutOfTimeError
@@ -529,15 +529,15 @@ def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated
         ("max_seconds", 0.1, {"render_noise": pytest.approx(0.5, rel=2e-5)}),
     ],
 )
-def test_without_clock_states_what_the_limit_led_to(ended_by, tolerance, changed):
+def test_repeatable_settings_state_what_the_limit_led_to(ended_by, tolerance, changed):
     header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
     image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
     asked = Run(seed=4, max_seconds=7.0, tolerance_delta_e=tolerance)
     by_clock = ended_by == "max_seconds"
     expected = asked.model_dump() | {"max_seconds": NO_TIME_LIMIT_S, "resolution": 3} | changed
     expected |= {"tolerance_delta_e": None} if by_clock else {}
-    got = without_clock(asked, image)
+    got = repeatable_settings(asked, image)
     assert got.model_dump() == expected
     assert not by_clock or got.render_noise > 0.5, "or rounding could ask for one more render"
     free = Run(seed=4)
-    assert without_clock(free, image) == free
+    assert repeatable_settings(free, image) == free

@@ -32,7 +32,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import TraceJob
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import _to_json, tree_of
 from pixsim.scene.trial import Trial
@@ -106,9 +106,9 @@ class Machine:
         patch.setenv("PIXSIM_CACHE_DIR", str(folder / "cache"))
         patch.setenv(graphics.DRIVER_VARIABLE, library)
         patch.setattr(graphics, "NODES", (str(folder / "nvidiactl"),))
-        patch.setattr(graphics, "attempt", self.attempt)
+        patch.setattr(graphics, "trial_render", self.trial_render)
 
-    def attempt(self, name: str, *, limit_s: float) -> Trial:
+    def trial_render(self, name: str, *, limit_s: float) -> Trial:
         self.tries += 1
         assert name == "cuda_ad_spectral"
         assert 0 < limit_s < 600
@@ -144,7 +144,7 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
     fresh.setattr(graphics.ctypes, "CDLL", lambda _: pytest.fail("loaded a library"))
-    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NO_CARD, tried=False)
+    assert graphics.graphics_trial() == graphics.GraphicsTrial(graphics.NO_CARD, tried=False)
     assert variant.choose() == replace(
         PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}"
     )
@@ -156,11 +156,11 @@ def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_pa
     """
     (tmp_path / "nvidiactl").touch()
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
+    fresh.setattr(graphics, "trial_render", lambda *_, **__: pytest.fail("started a process"))
     for path in (str(tmp_path / "nowhere.so"), "libcuda_of_no_machine.so.1"):
         fresh.setenv(graphics.DRIVER_VARIABLE, path)
         assert (
-            graphics.verdict().fault
+            graphics.graphics_trial().fault
             == f"the library of the NVIDIA driver cannot be loaded ({path})"
         )
 
@@ -204,36 +204,36 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
         ChildTracer(job, lambda: time.monotonic() + HANG_S).sample_count("independent", 4)
 
 
-# --- The verdict ---
+# --- The trial ---
 
 
 def test_card_that_works_is_tried_once(machine: Machine):
     with pytest.warns(UserWarning, match="the graphics card passed its trial"):
-        assert graphics.verdict() == graphics.GraphicsTrial(None)
+        assert graphics.graphics_trial() == graphics.GraphicsTrial(None)
     assert machine.tries == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert graphics.verdict().fault is None
+        assert graphics.graphics_trial().fault is None
     assert machine.tries == 1
 
 
 def test_failure_is_kept(machine: Machine):
     machine.picture = DIES
     with pytest.warns(UserWarning, match="the graphics card is not used"):
-        assert "dies of signal 6 (SIGABRT)" in str(graphics.verdict().fault)
+        assert "dies of signal 6 (SIGABRT)" in str(graphics.graphics_trial().fault)
     machine.picture = PICTURE
-    assert "dies of signal 6 (SIGABRT)" in str(graphics.verdict().fault)
+    assert "dies of signal 6 (SIGABRT)" in str(graphics.graphics_trial().fault)
     assert machine.tries == 1
 
 
 def test_other_driver_or_visible_cards_are_tried(machine: Machine):
     with pytest.warns(UserWarning, match="passed"):
-        graphics.verdict()
+        graphics.graphics_trial()
     for name in graphics.DRIVER_SETTINGS:
         if name != graphics.DRIVER_VARIABLE:
             machine.patch.setenv(name, "1")
             with pytest.warns(UserWarning, match="passed"):
-                graphics.verdict()
+                graphics.graphics_trial()
     assert machine.tries == len(graphics.DRIVER_SETTINGS)
 
 
@@ -243,18 +243,18 @@ def test_other_driver_or_visible_cards_are_tried(machine: Machine):
 def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
     """Or each process would try, and each worker of a study; `pixsim doctor` does."""
     machine.patch.setenv(name, value)
-    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NOT_CACHED, tried=False)
+    assert graphics.graphics_trial() == graphics.GraphicsTrial(graphics.NOT_CACHED, tried=False)
     assert machine.tries == 0
-    assert graphics.verdict(again=True).fault is None
+    assert graphics.graphics_trial(again=True).fault is None
 
 
 def test_doctor_tries_again(machine: Machine):
     machine.picture = DIES
     with pytest.warns(UserWarning, match="is not used"):
-        graphics.verdict()
+        graphics.graphics_trial()
     machine.picture = PICTURE
-    assert graphics.verdict(again=True).fault is None
-    assert graphics.verdict().fault is None  # its verdict is kept
+    assert graphics.graphics_trial(again=True).fault is None
+    assert graphics.graphics_trial().fault is None  # its trial is cached
     assert machine.tries == 2
 
 
@@ -307,7 +307,7 @@ def test_trees_are_equal_for_all_variants():
     """
     for name in ("csf", "macbeth", "still_life"):
         text = pixsim.load_scene(name, variant=VARIANT).text().text
-        with speaking_mitsuba(VARIANT) as mi:
+        with mitsuba_session(VARIANT) as mi:
             states = [
                 mi.parser.parse_string(mi.parser.ParserConfig(each), text)
                 for each in variant.VARIANTS

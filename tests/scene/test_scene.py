@@ -18,7 +18,7 @@ from pixsim.light.spectral import grid_nm
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts, illuminance
-from pixsim.scene.contents import Lamp, asset_files, find_lamp, find_lamps, white_of
+from pixsim.scene.contents import Lamp, asset_files, find_lamp, find_lamps, white_spectra
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
@@ -570,7 +570,7 @@ def light_of_white(folder: Path, names: str, *emitters: str) -> np.ndarray:
     default = f'<default name="white_lamps" value="{names}"/>'
     scene = load(write_scene(folder, default, sensor_xml(), *emitters))
     assert scene.white_lamps == tuple(names.replace(",", " ").split())
-    spectra = white_of(
+    spectra = white_spectra(
         scene.parse(), find_lamps(scene.parse(), scene.choice.variant), scene.white_lamps
     )
     return np.sum([spectrum.at(grid_nm()) for spectrum in spectra], axis=0)

@@ -17,7 +17,7 @@ import pixsim
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.scene.guard.inspector import open_scene
-from pixsim.scene.mitsuba import import_mitsuba, parse, speaking_mitsuba
+from pixsim.scene.mitsuba import import_mitsuba, mitsuba_session, parse
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import REFERENCES
 from pixsim.sensor.pixel_options import Pixel
@@ -93,7 +93,7 @@ def rendered(
         "crop_height": rows,
     }
     film |= {f"band_{index:02d}": response for index, response in enumerate(responses)}
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         scene = mi.load_file(str(path), **given)
         sampler = {"type": "multijitter", "sample_count": spp}
         eye = mi.load_dict({"type": "thinlens", **own, "film": film, "sampler": sampler})
@@ -294,7 +294,7 @@ def test_lux_is_the_illuminance_at_the_place_that_the_scene_states(name):
     diffuser = f"""<shape type="rectangle"><transform name="to_world"><scale value="5e-4"/>
         <rotate {turned}/><translate value="{str(place)[1:-1]}"/></transform>
         <bsdf type="diffuse"><spectrum name="reflectance" value="1"/></bsdf></shape></scene>"""
-    with speaking_mitsuba(VARIANT) as mi:
+    with mitsuba_session(VARIANT) as mi:
         scene = mi.load_string(text.replace("</scene>", diffuser))
         sensor = mi.load_dict(meter | {"sampler": {"type": "independent", "sample_count": 1 << 16}})
         found = np.asarray(mi.render(scene, sensor=sensor, seed=SEED)).item()

@@ -24,7 +24,7 @@ from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba, parse
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.renderer import Renderer, passes_of
+from pixsim.scene.renderer import Renderer, shared_passes
 
 pytestmark = NEEDS_LLVM
 LLVM = "llvm_ad_spectral"
@@ -121,7 +121,9 @@ def tracer_of(
     lens, integrator = {"type": "perspective", "fov": 20.0}, {"type": plugin, "max_depth": 2}
     return (
         InProcessTracer(
-            TraceJob(LLVM, text, (None,), sensor, lens, integrator, (), sizes, (passes_of(fit),))
+            TraceJob(
+                LLVM, text, (None,), sensor, lens, integrator, (), sizes, (shared_passes(fit),)
+            )
         ),
         fit,
     )
@@ -156,7 +158,7 @@ def test_places_are_stratified_in_a_pass_and_over_all(import_first):
     mi = import_mitsuba(LLVM)
     import drjit as dr
 
-    from pixsim.scene.guard.in_process import _spread
+    from pixsim.scene.guard.in_process import _stratified_places
 
     for spp, count in ((4, 12), (16, 5), (15, 3), (7, 2)):
         number, group = (
@@ -165,7 +167,7 @@ def test_places_are_stratified_in_a_pass_and_over_all(import_first):
         )
         draws = mi.PCG32(spp * count)
         jitter = mi.Point2f(draws.next_float32(), draws.next_float32())
-        places = _spread(
+        places = _stratified_places(
             mi,
             number=number,
             spp=spp,

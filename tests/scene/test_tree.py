@@ -105,7 +105,7 @@ def no_mitsuba(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / "cache"))
-    trees._last_trees.cache_clear()
+    trees._recent_tree.cache_clear()
     return tmp_path / "cache"
 
 
@@ -122,7 +122,7 @@ def look(variant: str) -> tuple[str, float]:
 def test_chart_again_without_mitsuba(own_cache: Path, request: pytest.FixtureRequest) -> None:
     first = look(VARIANT)
     request.getfixturevalue("no_mitsuba")
-    trees._last_trees.cache_clear()  # as in another process
+    trees._recent_tree.cache_clear()  # as in another process
     assert look(VARIANT) == first
     assert {path.parent.name for path in own_cache.rglob("*.json")} >= {"trees", "spectra"}
 
@@ -144,7 +144,7 @@ def test_parse_tree_depends_on_text_and_variant(own_cache: Path) -> None:
     ):
         for path in own_cache.rglob("*.json"):
             path.write_text(damage)
-        trees._last_trees.cache_clear()
+        trees._recent_tree.cache_clear()
         with pytest.warns(UserWarning, match="is damaged"):
             assert trees._to_json(parse_tree(EVERY_KIND, VARIANT)) == trees._to_json(seen)
     assert first.exists()
@@ -153,7 +153,7 @@ def test_parse_tree_depends_on_text_and_variant(own_cache: Path) -> None:
 def test_parse_tree_large_or_without_cache_is_not_kept(
     own_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    long = EVERY_KIND.replace("</scene>", f"<!-- {'x' * trees.MAX_TEXT} --></scene>")
+    long = EVERY_KIND.replace("</scene>", f"<!-- {'x' * trees.MAX_CACHED_CHARACTERS} --></scene>")
     assert len(parse_tree(long, VARIANT).nodes) == len(parse(EVERY_KIND, VARIANT).nodes)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     parse_tree(EVERY_KIND, VARIANT)

@@ -19,7 +19,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
-from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
+from pixsim.scene.white_plate import plate_distance_m, plate_transform
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
@@ -149,9 +149,9 @@ def test_plate_stands_before_the_plane_in_focus_and_before_what_is_there(
     scene = load_scene(scene_file(tmp_path, DIRECTIONAL, *contents))
     state = scene.parse()
     sensor = sensor_node(state, scene.sensor_id)[1]
-    distance_m = distance_of_plate_m(state, sensor, 1.0)
+    distance_m = plate_distance_m(state, sensor, 1.0)
     assert wanted_m - 1.1e-3 < distance_m <= wanted_m + 1e-9  # within a step
-    place = np.array(place_of_plate(sensor, distance_m, 1.0)).reshape(4, 4)
+    place = np.array(plate_transform(sensor, distance_m, 1.0)).reshape(4, 4)
     np.testing.assert_allclose(place @ [0, 0, 0, 1], [0, 0, distance_m, 1], atol=1e-12)
     normal = np.linalg.inv(place)[2, :3]
     assert normal / np.linalg.norm(normal) == pytest.approx([0, 0, -1])

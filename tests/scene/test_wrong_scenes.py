@@ -13,7 +13,7 @@ from PIL import Image
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel_options import Pixel
@@ -297,7 +297,7 @@ def test_an_error_in_a_kernel_has_the_words_of_its_cause_and_others_their_own() 
     """
 
     def fail(text: str, cause: Exception | None) -> None:
-        with speaking_mitsuba("scalar_spectral"):
+        with mitsuba_session("scalar_spectral"):
             raise RuntimeError(text) from cause
 
     inner = RuntimeError("[bitmap.cpp:12] the texture 'a.png' has no colours")

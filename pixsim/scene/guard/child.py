@@ -37,7 +37,7 @@ _ENDED_S = 10.0  # in which a killed process ends
 _MAX_REPLY = 1 << 20  # bytes of a line
 MAX_CHANNELS = 256
 _READ_AT_ONCE = 1 << 16
-LOOK_S = 0.5  # between two looks at the child and the clock
+_LOOK_S = 0.5  # between two looks at the child and the clock
 
 
 class _ReportedError(PixsimError):
@@ -144,7 +144,7 @@ class _Child:
 
     def _code(self) -> int | None:
         try:
-            return self.process.wait(timeout=LOOK_S) if self.process else None
+            return self.process.wait(timeout=_LOOK_S) if self.process else None
         except subprocess.TimeoutExpired:
             return None
 
@@ -184,7 +184,7 @@ class _Child:
 
     def _wait(self, reading: list[int], writing: list[int], ends_at_s: float | None) -> None:
         while not any(
-            select.select(reading, writing, [], LOOK_S if ends_at_s is None else _until(ends_at_s))
+            select.select(reading, writing, [], _LOOK_S if ends_at_s is None else _until(ends_at_s))
         ):
             if ends_at_s is not None and time.monotonic() > ends_at_s:
                 got = "a limit in which Mitsuba does not finish the picture of the fewest samples"
@@ -199,7 +199,7 @@ class _Child:
 
 def _until(ends_at_s: float) -> float:
     """Return the time to wait, in s, before the next look at the clock."""
-    return max(0.0, min(LOOK_S, ends_at_s - time.monotonic()))
+    return max(0.0, min(_LOOK_S, ends_at_s - time.monotonic()))
 
 
 def _crashed(code: int | None, on_card: bool) -> PixsimError:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.scene.job import MESHES, WAVELENGTHS, Lamps, Passes, TraceJob
-from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
+from pixsim.scene.mitsuba import drjit, mitsuba_session, parse
 from pixsim.scene.textures import is_exr
 from pixsim.scene.tree import REFERENCES, Tree, children, nodes_of, tree_of
 
@@ -67,7 +67,7 @@ class InProcessTracer:
         global _loaded
         if _loaded is None or _loaded[0] != self.job.scenes_key:
             _loaded = None
-            with speaking_mitsuba(self.job.variant) as mi:
+            with mitsuba_session(self.job.variant) as mi:
                 scenes = [self._build(mi, lamps) for lamps in self.job.lamps]
                 pairs = [(scene, self._integrator(mi, scene)) for scene in scenes]
                 _loaded = self.job.scenes_key, pairs
@@ -115,7 +115,7 @@ class InProcessTracer:
 
     def sample_count(self, sampler: str, samples: int) -> int:
         """Return the samples that a sampler takes where a render needs `samples`."""
-        with speaking_mitsuba(self.job.variant) as mi:
+        with mitsuba_session(self.job.variant) as mi:
             return int(mi.load_dict({"type": sampler, "sample_count": samples}).sample_count())
 
     def trace(
@@ -124,7 +124,7 @@ class InProcessTracer:
         """Return a picture (rows, columns, channels) of a scene of the job; `film` describes the
         plugin.
         """
-        with speaking_mitsuba(self.job.variant) as mi:
+        with mitsuba_session(self.job.variant) as mi:
             sensor = self._sensor_with(mi, film, sampler, spp)
             world, integrator = self.loaded[scene]
             picture = mi.render(world, sensor=sensor, integrator=integrator, spp=spp, seed=seed)
@@ -152,7 +152,7 @@ class InProcessTracer:
         """
         passes, (height, width) = self.job.passes[scene], self.job.size
         assert passes is not None
-        with speaking_mitsuba(self.job.variant) as mi:
+        with mitsuba_session(self.job.variant) as mi:
             dr = drjit()
             sensor = self._sensor_with(mi, self._whole_film(), sampler, spp)
             world, integrator = self.loaded[scene]
@@ -173,7 +173,7 @@ class InProcessTracer:
             # Rays, whose random numbers are drawn in the order of Mitsuba's own integrators.
             row = cell // width
             corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
-            offset = _spread(
+            offset = _stratified_places(
                 mi,
                 number=index - sequence * spp,
                 spp=spp,
@@ -197,7 +197,7 @@ class InProcessTracer:
                 pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
                 shifted = area + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
                 below = shifted - dr.floor(shifted)
-                wavelengths_nm.append(_inverted(mi, density, share, pulse, below, passes))
+                wavelengths_nm.append(_wavelength_below(mi, density, share, pulse, below, passes))
             ray.wavelengths = mi.Spectrum(*wavelengths_nm)
 
             light = _radiance(mi, integrator, world, random, mi.RayDifferential3f(ray))
@@ -214,7 +214,7 @@ class InProcessTracer:
         """
         middles = (np.arange(side) + 0.5) / side
         x, y = (middle.ravel().astype(np.float32) for middle in np.meshgrid(middles, middles))
-        with speaking_mitsuba(self.job.variant) as mi:
+        with mitsuba_session(self.job.variant) as mi:
             sensor = self._sensor_with(mi, self._whole_film(), "independent", 1)
             world, _ = self.loaded[0]
             if self._scalar:
@@ -322,7 +322,7 @@ def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Floa
     return dr.select(is_hit, depth, math.inf)
 
 
-def _spread(
+def _stratified_places(
     mi: ModuleType,
     *,
     number: UInt32,
@@ -383,7 +383,7 @@ def _tables(mi: ModuleType, passes: Passes) -> tuple[UInt32, Float, Float, Float
     return lanes, shifts, density_of_area, share_of_area
 
 
-def _inverted(
+def _wavelength_below(
     mi: ModuleType, density: Float, share: Float, pulse: UInt32, below: Float, passes: Passes
 ) -> Float:
     """Return the wavelength below which a pulse, linear between its nodes, has a share of its area,

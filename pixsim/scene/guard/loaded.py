@@ -19,7 +19,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory, text_of
 from pixsim.scene.guard.files import escaped
 from pixsim.scene.job import MESHES, AssetFile, TraceJob
-from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.textures import check_texels, has_floats
 from pixsim.scene.variants.graphics import CUDA
 
@@ -88,7 +88,7 @@ def check_files(job: TraceJob) -> list[float]:
 @lru_cache(maxsize=512)
 def _highest(variant: str, file: AssetFile) -> float:
     """Check a file, once for its content."""
-    with speaking_mitsuba(variant) as mi:
+    with mitsuba_session(variant) as mi:
         if file.plugin in MESHES:
             _check_mesh(mi, file)
         elif file.has_light and (file.plugin == "gridvolume" or has_floats(file.path)):

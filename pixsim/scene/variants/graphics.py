@@ -17,7 +17,7 @@ from pathlib import Path
 from pixsim.base import cache, machine
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import content_hash
-from pixsim.scene.trial import attempt
+from pixsim.scene.trial import trial_render
 
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2
@@ -73,7 +73,7 @@ def without_driver() -> Iterator[None]:
         os.environ.update(before)
 
 
-def absent() -> str | None:
+def no_card_reason() -> str | None:
     """Return why no card can be tried here, or None if one can. It takes a few system calls, and
     no process.
     """
@@ -87,12 +87,12 @@ def absent() -> str | None:
     return None
 
 
-def verdict(again: bool = False) -> GraphicsTrial:
+def graphics_trial(again: bool = False) -> GraphicsTrial:
     """Return whether the graphics card works, from the cache or a trial.
 
     again : take a new trial in any case
     """
-    if fault := absent():
+    if fault := no_card_reason():
         return GraphicsTrial(fault, tried=False)
     has_cache = cache.limit_bytes() > 0 and cache.can_hold(KIND)
     if not again and not has_cache:  # each process, and each worker of a study, would try
@@ -108,7 +108,7 @@ def verdict(again: bool = False) -> GraphicsTrial:
         if cached is not None:
             return cached
 
-    fault = attempt(CUDA, limit_s=_PICTURE_S).fault
+    fault = trial_render(CUDA, limit_s=_PICTURE_S).fault
     trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})")
     if has_cache:
         cache.store_value(KIND, key, {"fault": trial.fault})

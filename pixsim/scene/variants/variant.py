@@ -184,7 +184,7 @@ def choose(requested: str | None = None) -> ChosenVariant:
     if requested == SCALAR:
         return ChosenVariant(SCALAR, None, "requested")
 
-    fault = graphics.absent() if requested == CUDA else None
+    fault = graphics.no_card_reason() if requested == CUDA else None
     if fault:
         got = f"'{requested}', but {fault}"
         raise invalid("variant", got, "a variant that runs here", UNUSABLE_HINT)
@@ -195,7 +195,7 @@ def choose(requested: str | None = None) -> ChosenVariant:
     if requested is not None:
         return processors
 
-    trial = graphics.verdict()
+    trial = graphics.graphics_trial()
     if trial.fault is None:
         reason = "the graphics card passed its trial"
         return ChosenVariant(CUDA, processors.llvm_path, reason, processors)
