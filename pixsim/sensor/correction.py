@@ -250,13 +250,12 @@ def residual_variance_e2(
     frames, s the signal, L the signal of the flat frames, n_d, n_f and n_c the numbers of dark
     frames, flat frames and dark rows, and V the variance of offsets and dark signal over pixels:
 
-    temporal s + T; of dark rows T/n_c more
-    offsets (1 - s/L)² · T (1 + 1/n_c)/n_d with dark frames, (1 - s/L)² · V without, since a flat
-    frame has the same ones; the
-        factor is 1 without flat frames. V holds the columns' offsets only without dark rows, and
-        V/n_c of those pixels.
-    flat (s/L)² (L + T (1 + 1/n_c))/n_f
-    gain (PRNU · s)² without flat frames
+    temporal : s + T, and T/n_c more with dark rows
+    offsets : (1 - s/L)² · T (1 + 1/n_c)/n_d with dark frames, (1 - s/L)² · V without them, since a
+        flat frame has the same offsets; the factor is 1 without flat frames. V contains the
+        columns' offsets only without dark rows, and V/n_c of their pixels
+    flat : (s/L)² (L + T (1 + 1/n_c))/n_f
+    gain : (PRNU · s)² without flat frames
 
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in
     PRNU and 1/√L.

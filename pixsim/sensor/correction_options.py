@@ -25,8 +25,7 @@ class Correction(Record):
     flat_frames: Annotated[int, Field(ge=0, le=10000)] = Field(
         0,
         description=(
-            "frames of light that is even on the sensor, by whose mean each pixel's gain is"
-            " corrected"
+            "frames of uniform light on the sensor, by whose mean each pixel's gain is corrected"
         ),
     )
     flat_level: Fraction = Field(

@@ -543,8 +543,8 @@ def _blurred_lights(
 
 @dataclass(frozen=True)
 class PartBehindLens:
-    """A part of a picture with light around it, behind a real lens that blurs all of
-    it like its middle.
+    """A part of a picture with light around it, behind a real lens that blurs all of it like its
+    middle.
 
     Films of other samples of the same part differ by their samples alone: they have the same PSF,
     which no film cuts off.
@@ -662,8 +662,8 @@ def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:
-    """Return the MTF of diffusion at frequencies and a wavelength, if charge
-    diffuses in a front-lit pixel without a microlens.
+    """Return the MTF of diffusion at frequencies and a wavelength, if charge diffuses in a
+    front-illuminated pixel without a microlens.
 
     Under a microlens light arrives near the middle of a photodiode, and diffusion is among the
     shares of the neighbours.

@@ -27,10 +27,11 @@ class Motion(Record):
         None, description="velocity [x, y] of the objects, in a plane that faces the lens"
     )
     image_um_per_s: Velocity | None = Field(
-        None, description="velocity [x, y] of the image on the sensor, in its place"
+        None,
+        description="in place of velocity_mm_per_s: velocity [x, y] of the image on the sensor",
     )
     pixels_per_s: Velocity | None = Field(
-        None, description="velocity [x, y] of the image in pixels, in place of both"
+        None, description="in place of both: velocity [x, y] of the image in pixels"
     )
     distance_m: Distance | None = Field(
         None,

@@ -281,10 +281,10 @@ def diode_full_v(diode: Diode) -> float:
     to the bias at which the area's tangent begins. Full wells in units of the swing's, at 0.5,
     0.35, 0.25 and 0.18 µm and 300 K, if full means:
 
-    V = 0                  2.33  2.00  2.22  2.46   the diode conducts nothing yet: the ADC would
-    clip the soft saturation this bias              2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21,
-    -0.16 V: the knee is at the top code -FC·PB                 3.13  2.52  3.14  3.46   never
-    reached: auto exposure would aim into the saturation
+    V = 0        2.33  2.00  2.22  2.46   the diode conducts nothing yet: the ADC would clip the
+                                          soft saturation
+    this bias    2.69  2.27  2.59  2.88   -0.24, -0.23, -0.21, -0.16 V: the knee is at the top code
+    -FC·PB       3.13  2.52  3.14  3.46   never reached: auto exposure would aim into the saturation
 
     The knee moves by V_T for each factor e of the integration time: to 0.98 of the well in 0.1 s,
     1.05 in 1 ms.

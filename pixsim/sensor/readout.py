@@ -86,8 +86,8 @@ def integration_time_s(
     """Return the manual integration time, or the time that exposes the brightest pixel to the
     target, up to the maximum.
 
-    All subexposures of a frame share it. The target is a share of `Readout.saturation_e`
-    in the exposure, for the mean charge with dark charge.
+    All subexposures of a frame share it. The target is a share of `Readout.saturation_e` in the
+    exposure, for the mean charge with dark charge.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
@@ -859,8 +859,8 @@ def capture(
     camera : of the irradiance
     sensor : from `make_sensor`, for the same camera
     exposure : None takes the default, automatic exposure
-    motion : of the scene, if it moves. Light from beyond the picture is taken
-        as reflected at its borders
+    motion : of the scene, if it moves. Light from beyond the picture is taken as
+        reflected at its borders
     rng : for temporal noise only; the sensor has the fixed pattern
 
     Raises PixsimError if the picture does not fill the sensor, or if the light is negative or not
