@@ -44,13 +44,12 @@ def explore(
     is closed.
 
     light : on the sensor, rendered or of another program; it stays as it is
-    camera : None means that of the light
-    exposure, display, correction, develop : to start from, as of `pixsim.evaluate`; None means the
-        defaults
+    camera : the camera of the light by default
+    exposure, display, correction, develop : to start from, as in `pixsim.evaluate`
     opened : takes the path of the private file that leads to the page, such as print; None opens
         the browser
 
-    What is shown is what `pixsim run` computes of the light. An interruption (Ctrl-C, or that of a
+    What is shown is what `pixsim run` computes of the light. An interruption (Ctrl-C, or in a
     notebook) ends it, too.
 
     Raises PixsimError for invalid input, and without the packages of pixsim[explore].

@@ -42,7 +42,7 @@ def dr_and_snr_db(
     """Return DR (eq. 1) and SNR at 20 % of the well (eq. 2) at 30 ms, in dB, (P,) each, as in
     Figure 2a.
 
-    technology : the reference technology as a study defines it; None means the packaged one
+    technology : the reference technology of a study; the packaged one by default
     """
     options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
     pixels = [derive(Pixel.model_validate(option), technology) for option in options]

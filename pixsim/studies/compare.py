@@ -407,7 +407,7 @@ def compare(
     axis, condition : tables of a study, in place of those of `study`: axis=[{"name": "lens", "set":
         "camera.f_number", "values": [2.0, 4.0]}]
     metrics : names of further metrics, or functions of a `Score`, each a number in its own unit;
-        the verdict is that of ΔE
+        the verdict is by ΔE
     settings : tables and fields of `Study` for all sensors: camera={"f_number": 2.8}, exposure={…},
         display={…}, seed=3. They take precedence over the study, but not over its conditions. Those
         for pixel sizes change nothing
@@ -539,7 +539,7 @@ def _render_groups(
         ):
             continue
 
-        # Warnings of pairs and of further cases repeat those of the first ones.
+        # Pairs and further cases would repeat the warnings of the first groups.
         words = [f"{pair} alone"] if pair else []
         with ExitStack() as stack:
             if pair or number >= len(job.condition_groups()):

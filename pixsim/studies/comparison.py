@@ -43,8 +43,8 @@ class ComparedSensor:
     dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.dark_clip.dark_clip`
     white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
-    colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
-    budget : noise budget of its first frame; None if nobody asks
+    colour : channels, matrix and noise gains, as in score.json, or None for a monochrome sensor
+    budget : noise budget of its first frame, or None without the setting noise_budget
     """
 
     case: Case[Run]
@@ -87,7 +87,7 @@ class DisplayDifference:
     dots : across the display
     interval_delta_e : its 95 % interval; on another display than the stated one from the frames of
         both
-    film_delta_e : largest error of the difference that the film may cause; None if it is unknown
+    film_delta_e : largest error of the difference that the film may cause, or None if unknown
     """
 
     dots: int
@@ -115,7 +115,8 @@ class DisplayDifference:
 class Comparison(Result):
     """Sensors in one scene. The first one is a, each later one is b.
 
-    A difference of a and b is that of the two alone, with their own chart, field, dots and border.
+    The difference of a and b compares these two alone, with a chart, field, dots and border of their
+    own.
     So it does not depend on the other sensors. The mean ΔE of three sensors and more (`delta_e`,
     `scores`) are those on one display for all. Under conditions, both are weighted means. With
     axes, they are those at their first values; `cases` has the others.
@@ -177,7 +178,7 @@ class Comparison(Result):
     def groups(self, match: Match | None = None) -> list[SensorGroup]:
         """Return the groups of all sensors under each condition.
 
-        match : of the cameras; None means the one that was asked for
+        match : of the cameras; the comparison's own match by default
         """
         return self.job.condition_groups(self.combination, match=match)
 
@@ -186,7 +187,7 @@ class Comparison(Result):
         among all, that of all.
 
         other : name of the other sensor
-        match : of the cameras; None means the one that was asked for
+        match : of the cameras; the comparison's own match by default
         """
         alone = {
             group.first.condition: group
@@ -197,7 +198,7 @@ class Comparison(Result):
     def rows(self, groups: Sequence[SensorGroup], dots: int | None = None) -> Table:
         """Return the evaluations of groups on one display.
 
-        dots : across it; None means the stated one
+        dots : across the display; the stated display by default
         """
         numbers = [
             place
@@ -214,7 +215,7 @@ class Comparison(Result):
         return rows.take(rows.columns[DOTS] == stated[rows.case])
 
     def weights(self, groups: Sequence[SensorGroup]) -> dict[str, float] | None:
-        """Return the share of each condition; None for one group.
+        """Return the share of each condition, or None for one group.
 
         groups : one for each condition
         """
@@ -247,7 +248,7 @@ class Comparison(Result):
 
         name : of the sensor
         metric : whose number it is
-        condition : its name; None means the weighted mean over all
+        condition : its name; the weighted mean over all conditions by default
         """
         groups = [group for group in self.groups() if condition in (None, group.first.condition)]
         rows = self.rows(groups).where(technology=name)
@@ -292,9 +293,9 @@ class Comparison(Result):
 
         other : name of the other sensor
         metric : whose numbers are paired
-        dots : of the display; None means the stated one
-        match : of the cameras; None means the one that was asked for
-        condition : its name; None means the weighted mean over all
+        dots : of the display; the stated display by default
+        match : of the cameras; the comparison's own match by default
+        condition : its name; the weighted mean over all conditions by default
         """
         groups = [
             group
@@ -327,12 +328,12 @@ class Comparison(Result):
 
     @property
     def probability_a_better(self) -> dict[str, float]:
-        """Probability that the expected ΔE of a is below that of b."""
+        """Probability that a has a lower expected ΔE than b."""
         return {other: self.pairs(other).probability_a_better for other in self.names[1:]}
 
     @property
     def film_delta_e(self) -> dict[str, float | None]:
-        """Largest error of each difference that the film may cause; None if it is unknown."""
+        """Largest error of each difference that the film may cause, or None if it is unknown."""
         return {other: self.film_of_pair(other) for other in self.names[1:]}
 
     def film_of_pair(
@@ -345,8 +346,8 @@ class Comparison(Result):
         of conditions add up, by weight.
 
         other : name of the other sensor
-        match : of the cameras; None means the one that was asked for
-        condition : its name; None means the weighted mean over all
+        match : of the cameras; the comparison's own match by default
+        condition : its name; the weighted mean over all conditions by default
         """
         total = 0.0
         for group in self.groups_of_pair(other, match):
@@ -370,7 +371,7 @@ class Comparison(Result):
         on the stated display, and twice taken on others.
 
         other : name of the other one
-        match : of the cameras; None means the one that was asked for
+        match : of the cameras; the comparison's own match by default
         """
         stated = self.pairs(other, match=match)
         film = self.film_of_pair(other, match)
@@ -396,7 +397,7 @@ class Comparison(Result):
 
     @property
     def film_of_sensors(self) -> dict[str, float | None]:
-        """Largest error of each sensor's mean ΔE that the film may cause; None if it is unknown."""
+        """Largest error of each sensor's mean ΔE that the film may cause, or None if unknown."""
         totals = dict.fromkeys(self.names, 0.0)
         for group in self.groups():
             for name, sensor in self.sensors_of_group(group).items() if group.weight else ():
@@ -421,8 +422,8 @@ class Comparison(Result):
 
         other : name of the other sensor
         metric : that tells which is better; by ΔE, the film's error counts
-        match : of the cameras; None means the one that was asked for
-        condition : its name; None means the weighted mean over all
+        match : of the cameras; the comparison's own match by default
+        condition : its name; the weighted mean over all conditions by default
         """
         film = self.film_of_pair(other, match, condition) if metric.is_delta_e else 0.0
         return self.pairs(other, metric, match=match, condition=condition).sign(film or 0.0)

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DisplayOptimum:
-    """The optimum of a study on a display with another number of dots than that of the study."""
+    """The optimum of a study on a display with another number of dots."""
 
     dots: int
     optimum: Optimum
@@ -66,8 +66,8 @@ class DisplayOptimum:
 class CaseLabels:
     """Labels of the case of a curve, in a study with axes or conditions.
 
-    at, condition, alone : as of `pixsim.studies.design.Case`
-    developed : what is on of the development, as of `developed_words`
+    at, condition, alone : described at `pixsim.studies.design.Case`
+    developed : steps of the development, as text of `developed_words`
     """
 
     at: dict[str, float | int | str] = field(default_factory=dict)
@@ -163,7 +163,7 @@ class Curve(Result):
 
     @property
     def left_out(self) -> tuple[tuple[float, str], ...]:
-        """Pitches in µm that are not among those of the curve, each with the reason."""
+        """Pitches in µm that the curve leaves out, each with the reason."""
         return tuple((pitch_um, reason) for name, pitch_um, reason in self.missing if not name)
 
     @property
@@ -297,7 +297,7 @@ class Curve(Result):
     def mean(self, statistic: str | None = None) -> Array:
         """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit.
 
-        statistic : its column in results.csv; None means `delta_e`
+        statistic : its column in results.csv; `delta_e` by default
         """
         return mean_of_sensors(self.delta_e if statistic is None else self.statistics[statistic])
 

@@ -115,7 +115,7 @@ def columns_on(camera: Camera, pitch_um: float) -> int:
     return pixels_along(camera.die_um[1], pitch_um)
 
 
-_MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
+_MPE30_INTEGRATION_S = 0.030  # of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
 
 
 def longest_path_um(result: StudyResult, curve: Curve, pitch_um: float) -> float:
@@ -168,7 +168,7 @@ def mtf50_cy_per_mm(
 ) -> float:
     """Return the lowest frequency at which `mtf` (`system_mtf` or `shown_mtf`) falls to one half.
 
-    path_um : of light that moves, as of `mtf_terms`
+    path_um : of light that moves, as in `mtf_terms`
     """
     side_um = physics.aperture_side_um
     if physics.stack is not None:
@@ -280,7 +280,7 @@ def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
     """Return the noise budget of each curve of each case by its words, at the best of the sizes
     tried; empty where nobody asks.
 
-    It is that of the first sensor and its first frame, which are the same for all cases.
+    The first frame of the first sensor has it, with the same random numbers in all cases.
     """
     if not result.study.noise_budget:
         return {}

@@ -131,7 +131,7 @@ class Optimum:
 
     @property
     def value(self) -> float:
-        """The metric at the optimum: the mean ΔE, or that of another metric."""
+        """The value of the metric at the optimum, such as mean ΔE."""
         return 1 / self.mean_delta_e if self.is_of_reciprocal else self.mean_delta_e
 
     @property
@@ -151,7 +151,7 @@ class Optimum:
         return {name: value for name, value in asdict(self).items() if name != "is_of_reciprocal"}
 
     def metric_dict(self) -> dict[str, Any]:
-        """Return what summary.json has of the optimum by a metric."""
+        """Return the optimum by a metric as in summary.json."""
         return {
             "pitch_um": self.pitch_um,
             "value": self.value,
@@ -177,7 +177,7 @@ class FittedCurve:
     noise : the likeliest variance of one sensor over the square of its mean ΔE
     loud : the same of each pitch that has its own, by the pitch in µm
     scale : unit of ΔE in the design
-    logarithmic : whether the design is that of the logarithm of ΔE
+    logarithmic : whether the design describes the logarithm of ΔE
     width_um : photodiode width as a function of the pitch; by default proportional to it
     look_interval_um : (low, high) of `CONFIDENCE` at this look alone, by which further sizes and
         sensors are chosen; else as the interval of the optimum
@@ -391,7 +391,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     pitch_um : (P,) increasing, at least 5
     delta_e : (P, R) mean ΔE of each sensor; NaN where a pitch has fewer than R. At least one pitch
         has two sensors
-    width_um : photodiode width as a function of the pitch; None means proportional to it
+    width_um : photodiode width as a function of the pitch; by default proportional to it
 
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """
@@ -595,7 +595,7 @@ def _optimum(
     ]
 
     def interval_um(confidence: float) -> tuple[float | None, float | None]:
-        """Return the interval of the minimum's pitch; None for an open end."""
+        """Return the interval of the minimum's pitch, with None for an open end."""
         levels = (1 - confidence) / 2, (1 + confidence) / 2
         low_um, high_um = np.quantile(drawn.minima_um, levels)
         low_um = min(low_um, drawn.best_um * (1 - _SHORTEST_HALF))
@@ -665,7 +665,7 @@ class Measured:
 
     @property
     def noise_scale(self) -> Array:
-        """Factor of a relative variance to that of the values, (P,)."""
+        """Variance of the fitted values over the relative variance of ΔE, (P,)."""
         return noise_scale(self.mean / self.scale, self.logarithmic)
 
     def delta_e_of(self, curves: Array) -> Array:

@@ -40,7 +40,7 @@ class Pairs:
 
     @property
     def differences(self) -> Array:
-        """Number of b minus that of a, (pairs,)."""
+        """Number of b minus number of a, (pairs,)."""
         return self.b - self.a
 
     @property
@@ -63,7 +63,7 @@ class Pairs:
 
     @property
     def probability_a_better(self) -> float:
-        """Probability that the expected number of a is better than that of b."""
+        """Probability that a has a better expected number than b."""
         sign = 1.0 if self.metric.better == "less" else -1.0
         return probability_above_zero(sign * self.differences)
 
@@ -92,7 +92,7 @@ def paired(
     weights : share of each condition, whose frames of one number are averaged; None without
         conditions
 
-    Raises PixsimError if a frame of one sensor lacks that of the other.
+    Raises PixsimError if a frame of one sensor has no partner of the other.
     """
     first = weighted_frames(table.where(**{SENSOR: a}), metric, weights)
     second = weighted_frames(table.where(**{SENSOR: b}), metric, weights)

@@ -30,7 +30,7 @@ class Criterion:
     optimum : the best size
     pitch_um : (n,) increasing
     share : (n,) the metric's least loss over its loss there, from 0 to 1
-    weight : of a condition, of all 1 in sum; None of others
+    weight : share of a condition; None for other criteria
     """
 
     name: str
@@ -206,6 +206,6 @@ def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array
 
 
 def weighted_criterion(regrets: Regrets) -> Criterion | None:
-    """Return the criterion of the weighted mean over conditions; None if it has none."""
+    """Return the criterion of the weighted mean over conditions, or None without one."""
     last = regrets.criteria[-1]
     return last if last.weight is None else None

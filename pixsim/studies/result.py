@@ -125,12 +125,12 @@ class StudyResult(Result):
 
     @property
     def camera(self) -> Camera:
-        """Camera with which the light was rendered, that of the first case."""
+        """Camera with which the light of the first case was rendered."""
         return self.light.camera
 
     @property
     def film(self) -> FilmError | None:
-        """Error of the film of the light; None if it was not measured."""
+        """Error of the film of the light, or None if it was not measured."""
         return self.light.film
 
     def film_at_best(self, curve: Curve) -> FilmError | None:

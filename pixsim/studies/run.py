@@ -478,7 +478,7 @@ class RunResult(RenderedRun, Result):
 
     @property
     def interval_delta_e(self) -> tuple[float, float] | None:
-        """95 % interval of the expected mean ΔE of such sensors; None of one sensor.
+        """95 % interval of the expected mean ΔE of such sensors, or None for one sensor.
 
         The errors of the light are not in it: all sensors see the same light.
         """
@@ -547,7 +547,7 @@ class RunResult(RenderedRun, Result):
 
     @property
     def film(self) -> dict[str, Any] | None:
-        """The film and its error, as in score.json; None for light of another program."""
+        """The film and its error as in score.json, or None for light of another program."""
         return self.rendered.film.as_dict() if self.rendered and self.rendered.film else None
 
     @property
@@ -568,7 +568,7 @@ class RunResult(RenderedRun, Result):
 
     @cached_property
     def noise_budget(self) -> NoiseBudget | None:
-        """Electrons and ΔE of the first sensor's frame by cause; None where nobody asks."""
+        """Electrons and ΔE of the first sensor's frame by cause, if the settings ask for it."""
         if not self.settings.noise_budget:
             return None
         return noise_budget(self.chain, self.irradiance, "evaluate", self.settings.seed)
@@ -726,7 +726,7 @@ def score_run(
         for reason in dict.fromkeys(table.reasons.values()):
             warn(Note("undefined_metric", words=reason))
 
-        # Where registrations are spread, their part of the scatter is told from the noise.
+        # Sensors at one registration separate the noise from the spread of registrations.
         table_at_first = None
         if job.repeats > 1:
             second_imaging = registered_in(rendered.imaging, rendered.light(), 1)

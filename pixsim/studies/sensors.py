@@ -332,7 +332,7 @@ class _Circumstances:
     """What the axes and one condition of a study set for every sensor.
 
     weight : share of the condition; 1 without conditions
-    layer : of settings, over those of all sensors; None where neither sets one
+    layer : settings over those that all sensors share; None where neither sets any
     scene : file of the scene, where they set it; else empty
     at, alone, condition, labels : of the case, as in `Case`
     words : values of axes and condition, for messages
@@ -688,8 +688,8 @@ class ComparisonJob(Job[Run]):
         conditions, by matches
     match : of the cameras that was asked for
     base : settings of each sensor, as the files and options have them without a condition
-    study : whose settings, axes and conditions are those of all sensors, if any; its scene is that
-        of the comparison
+    study : with the settings, axes and conditions of all sensors, if any, and the scene of the
+        comparison
     types : sensor types over which the comparison is repeated, if they are asked for
     """
 
@@ -802,7 +802,7 @@ def prepare(
     )
 
     # The same by another match of the cameras, unless sensors see the same by it; then pairs alone.
-    with suppressed_warnings():  # those of all sensors are shown
+    with suppressed_warnings():  # the groups of all sensors have warned
         matches = [chosen_match]
         if match is None:
             other_match = _OTHER_MATCH[chosen_match]
@@ -846,7 +846,7 @@ def _shared_settings(
     smaller_than_um: Sequence[float],
     quick: bool,
 ) -> _SharedSettings:
-    """Return the settings of all sensors of a comparison. The arguments are those of `prepare`.
+    """Return the settings of all sensors of a comparison. `prepare` describes the arguments.
 
     Raises PixsimError for what a comparison does not have.
     """

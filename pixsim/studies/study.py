@@ -177,7 +177,7 @@ def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[Disp
 
 
 def _on_their_films(case_lights: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
-    """Return cases whose settings state the film of their light; those of a group share them."""
+    """Return cases whose settings state the film of their light; a group shares its settings."""
     settings: dict[object, Study] = {}
     for case, light in case_lights:
         if case.group not in settings:
@@ -510,7 +510,7 @@ def _results_of_types(
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return `UncertaintyResult.table` and `holds` of one technology.
 
-    curves : of each technology, those of all types
+    curves : of all types, for each technology
     place : of the technology among them
     """
     drawn_curves = curves[place]
@@ -577,7 +577,7 @@ def study(
     out : folder, created if missing
     config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure
         and display, for a named study; later ones take precedence
-    parameters : of the scene, each in its unit; they override those of a named study
+    parameters : of the scene, each in its unit; they override a named study's
     pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they
         override a named study's. A data sheet may stand here instead of in a file, with its
         pitch_um

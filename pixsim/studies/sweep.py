@@ -70,7 +70,9 @@ from pixsim.viewer.screen import IdealFacts, warn_of_clipping, white_header, wit
 from pixsim.viewer.setting import Run
 from pixsim.viewer.without_effect import SOLVE_FOR, UserSettings, warn_of_settings_without_effect
 
-PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
+# Labels before the labels of axes and conditions.
+PIXEL = "pixel"
+DRAW = "draw"
 USUAL_REPEATS = 1
 # Settings of a render, which change nothing in light that is given.
 _RENDER_SETTINGS = ("tolerance_e", "render_noise", "resolution", "max_seconds")
@@ -123,13 +125,13 @@ def sweep(
 
     pixels : of each sensor; a list, or names -> pixels
     camera : of all; None means that of the light's header, or the default; a table is over it
-    exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`, or
-        tables as of `pixsim.study`
+    exposure, display, correction, develop, motion, metric, without : of `pixsim.evaluate`, or
+        tables of `pixsim.study`
     metrics : names of metrics, or functions of a Score that return a number; each has its columns.
         One that has no number for a frame, as NIIRS for one that is overexposed, is NaN, with a
         warning that says why. None means ΔE
-    repeats : sensors of each kind; None means 1
-    seed : of the fixed patterns and the temporal noise; None means 0
+    repeats : sensors of each kind; 1 by default
+    seed : of the fixed patterns and the temporal noise; 0 by default
     config : one or more TOML files with settings of all sensors, which take precedence over the
         numbers of `pixels`
     pixel : fields of all pixels, as {"bits": 12}
@@ -245,7 +247,7 @@ def _sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, li
     """Return a study with the axes and conditions of a sweep, and the settings of all of its
     sensors as tables of `Run`.
 
-    layers : of files and of what was given in Python
+    layers : settings of files and of Python
 
     Raises PixsimError for what only light of a scene has.
     """
@@ -274,7 +276,7 @@ def _prepare_cases(
     """Return each pixel at each combination of the axes and under each condition, checked, with
     white and border in common.
 
-    camera : as it was given
+    camera : argument of `sweep`
     plan, sensor_layers : of `_sweep_plan`
     unused : names of settings that change nothing in a sweep
 

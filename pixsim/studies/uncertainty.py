@@ -7,7 +7,7 @@ but x_i)]/Var(y), counts interactions too. It needs points of its own, n(k + 2) 
 design of A. Saltelli et al., Comput. Phys. Commun. 181 (2010) 259, with the estimator of M. J. W.
 Jansen, Comput. Phys. Commun. 117 (1999) 35.
 
-Standard errors are those of independent draws, and hold from about 64 of them. Sobol' points fill
+Standard errors hold for independent draws, from about 64 of them. Sobol' points fill
 the space more evenly, so errors are smaller than stated: by half for a linear model with a quarter
 of noise.
 """
@@ -56,7 +56,7 @@ class Share:
         return f"{self.share:.2f} ± {self.standard_error:.2f}"
 
     def as_dict(self) -> dict[str, float | None]:
-        """Return the numbers as in summary.json; None for NaN."""
+        """Return the numbers as in summary.json, with None for NaN."""
         return {
             name: None if math.isnan(value) else round(value, DIGITS)
             for name, value in vars(self).items()
@@ -663,7 +663,7 @@ class UncertaintyResult:
 
     @property
     def outputs(self) -> dict[str, tuple[str, str]]:
-        """The columns of the two results, with those of the ends of their intervals."""
+        """The columns of the two results, each with the columns of its interval's ends."""
         value = self.metric.columns[0]
         return {
             "optimum_um": ("interval_low_um", "interval_high_um"),
@@ -850,7 +850,7 @@ class PairUncertainty:
     drawn : the sensor types of all sensors
     requested_draws : number of types; the sample has a power of two of them
     total : whether they are the points of total indices
-    differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
+    differences : ΔE(b) - ΔE(a) of each type, (n,), or of another metric in its unit
     scatter_variances : of each difference by the noise of its frames, (n,)
     metric : that judges
     """
