@@ -58,7 +58,8 @@ class _TypicalFilters:
     """A set of filters on silicon, without an infrared filter.
 
     depth_um : of silicon that collects
-    dead_um : of silicon before it that does not, as under the surface of a front-side pixel
+    dead_um : of silicon before it that does not, as under the surface of a front-side illuminated
+        pixel
     leak : of each filter outside its bands
     """
 

@@ -1,5 +1,5 @@
-"""Diffusion of charge in the silicon of a front-lit pixel: the blur of light that is absorbed below
-the depletion region.
+"""Diffusion of charge in the silicon of a front-side illuminated pixel: the blur of light that is
+absorbed below the depletion region.
 
 Light enters at the surface and is absorbed with e^(-αz). A carrier set free within the depletion
 depth L_D is collected where it is. One set free at z below it walks at random until it meets the
@@ -129,8 +129,8 @@ def diffused_shares(
 
     The light falls evenly on a square in the middle of the pixel, and the cells of the pixels
     collect; the remainder to 1 is collected further away. Convolved with the shares of light that
-    photodiodes receive (`pixsim.optics.stack`), they are the crosstalk of a front-lit sensor. The
-    transform of the charge's spread is `diffusion_mtf`.
+    photodiodes receive (`pixsim.optics.stack`), they are the crosstalk of a front-side illuminated
+    sensor. The transform of the charge's spread is `diffusion_mtf`.
 
     side_um : of the square on which the light falls, the photodiode or the spot of a microlens; 0
         for a point

@@ -663,7 +663,7 @@ def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:
     """Return the MTF of diffusion at frequencies and a wavelength, if charge diffuses in a
-    front-illuminated pixel without a microlens.
+    front-side illuminated pixel without a microlens.
 
     Under a microlens light arrives near the middle of a photodiode, and diffusion is among the
     shares of the neighbours.

@@ -73,13 +73,15 @@ class StackOptions(Record):
     )
     depletion_um: SiliconDepth | None = Field(
         None,
-        description="of a front-lit pixel, with diffusion_length_um: depth of the depletion region",
+        description=(
+            "front-side illuminated pixel, with diffusion_length_um: depth of the depletion region"
+        ),
     )
     diffusion_length_um: DiffusionLength | None = Field(
         None,
         description=(
-            "of a front-lit pixel, with depletion_um: diffusion length of electrons below the"
-            " depletion region"
+            "front-side illuminated pixel, with depletion_um: diffusion length of electrons below"
+            " the depletion region"
         ),
     )
     crosstalk: Crosstalk | None = Field(

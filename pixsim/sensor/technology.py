@@ -203,10 +203,13 @@ class Technology(NumbersOfPixels):
     stack_microlens: MICROLENSES | None = Field(None, description="'square' or 'none'")
     stack_shift: SHIFTS | None = Field(None, description="'none' or 'optimal'")
     stack_depletion_um: SiliconDepth | None = Field(
-        None, description="front-lit: depth of the depletion region"
+        None, description="front-side illuminated: depth of the depletion region"
     )
     stack_diffusion_length_um: DiffusionLength | None = Field(
-        None, description="front-lit: diffusion length of electrons below the depletion region"
+        None,
+        description=(
+            "front-side illuminated: diffusion length of electrons below the depletion region"
+        ),
     )
     stack_crosstalk: Crosstalk | None = Field(
         None,
