@@ -64,20 +64,20 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
     magic, version = struct.unpack("<2I", file.read(8))
     if magic != _MAGIC or version & 0xFF != 2:
         raise invalid("EXR file", f"'{path}', which does not start like an EXR file", ALLOWED)
-    for flag, kind in _OTHER_KINDS.items():
+    for flag, kind_words in _OTHER_KINDS.items():
         if version & flag:
             raise invalid(
                 "EXR file",
-                f"'{path}' with {kind}",
+                f"'{path}' with {kind_words}",
                 "one flat image",
                 "Save it as scan lines or tiles of one part.",
             )
 
-    stored = os.fstat(file.fileno()).st_size
-    attributes = _attributes(path, file, stored)
-    for needed in ("channels", "dataWindow", "compression"):
-        if needed not in attributes:
-            raise _damaged(path, f"a header without {needed}")
+    file_bytes = os.fstat(file.fileno()).st_size
+    attributes = _attributes(path, file, file_bytes)
+    for attribute in ("channels", "dataWindow", "compression"):
+        if attribute not in attributes:
+            raise _damaged(path, f"a header without {attribute}")
     layout = attributes.get("type", b"").rstrip(b"\0")
     if layout not in (b"", b"scanlineimage", b"tiledimage"):
         raise invalid("EXR file", f"'{path}' of another type", "scanlineimage or tiledimage")
@@ -105,10 +105,10 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
         ):
             raise _damaged(path, f"tiles of {tile_width} × {tile_height} samples")
 
-    check_compression(f"EXR file '{path}'", 4 * width * height * count, stored)
+    check_compression(f"EXR file '{path}'", 4 * width * height * count, file_bytes)
 
 
-def _attributes(path: Path, file: IO[bytes], stored: int) -> dict[str, bytes]:
+def _attributes(path: Path, file: IO[bytes], file_bytes: int) -> dict[str, bytes]:
     """Return the attributes that describe the channels and the layout; skip the others."""
     attributes: dict[str, bytes] = {}
     for _ in range(_MAX_ATTRIBUTES):
@@ -117,7 +117,7 @@ def _attributes(path: Path, file: IO[bytes], stored: int) -> dict[str, bytes]:
             return attributes
         _read_name(file)
         (size,) = struct.unpack("<I", file.read(4))
-        if size > min(_MAX_ATTRIBUTE, stored - file.tell()):
+        if size > min(_MAX_ATTRIBUTE, file_bytes - file.tell()):
             raise _damaged(path, f"an attribute {name!r} of {size} bytes")
         if name in ("channels", "dataWindow", "compression", "tiles", "type"):
             attributes[name] = file.read(size)

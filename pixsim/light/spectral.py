@@ -382,21 +382,21 @@ class SpectralImage:
         """
         height, width = self.shape
         is_coarser = 1 <= columns <= width
-        ratio = width / columns if is_coarser else math.nan
-        rows = int(height / ratio + EDGE) if is_coarser else 0
+        samples_per_cell = width / columns if is_coarser else math.nan
+        rows = int(height / samples_per_cell + EDGE) if is_coarser else 0
         if not rows:
             raise invalid(
                 "columns", columns, f"1 to {width}, and at least one row of square samples"
             )
 
         earlier = self.header.get("reduced", {"samples": [height, width], "factor": 1.0})
-        factor = float(f"{earlier['factor'] * ratio:.12g}")
+        factor = float(f"{earlier['factor'] * samples_per_cell:.12g}")
         header = self.header | {"reduced": {"samples": earlier["samples"], "factor": factor}}
 
         planes = np.empty((len(self.planes), rows, columns), np.float32)
         for plane, means in zip(self.planes, planes, strict=True):
             means[:] = _box_means(plane, rows, columns)
-        return self.with_planes(planes, pitch_um=self.pitch_um * ratio, header=header)
+        return self.with_planes(planes, pitch_um=self.pitch_um * samples_per_cell, header=header)
 
     @property
     def planes(self) -> NDArray[np.float32]:
@@ -571,11 +571,11 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
     order = np.argpartition(picture, -max_count - 1, axis=None)[-max_count - 1 :]
     order = order[np.argsort(picture.ravel()[order])[::-1]]
     values = picture.ravel()[order]
-    steps = np.flatnonzero((values[:-1] > OUTLIER * values[1:]) & (values[1:] > 0))
-    if not steps.size:
+    gaps = np.flatnonzero((values[:-1] > OUTLIER * values[1:]) & (values[1:] > 0))
+    if not gaps.size:
         return []
-    outliers = [divmod(int(index), picture.shape[1]) for index in order[: steps[-1] + 1]]
-    brightest_other = values[steps[-1] + 1]
+    outliers = [divmod(int(index), picture.shape[1]) for index in order[: gaps[-1] + 1]]
+    brightest_other = values[gaps[-1] + 1]
     neighbourhoods = [
         picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         for row, column in outliers
@@ -658,9 +658,10 @@ def _running_integral(values: NDArray[Any], edges: Array) -> Array:
         strip = values[rows].astype(float)
         # The integral up to each row, and with the last one.
         total = np.cumsum(np.concatenate([total[-1:], strip]), axis=0)
-        here = np.flatnonzero((below >= rows.start) & (below < rows.stop))
-        row = below[here] - rows.start
-        result[here] = total[row] + (position[here] - below[here])[:, None] * strip[row]
+        edges_in_strip = np.flatnonzero((below >= rows.start) & (below < rows.stop))
+        row = below[edges_in_strip] - rows.start
+        part = position[edges_in_strip] - below[edges_in_strip]
+        result[edges_in_strip] = total[row] + part[:, None] * strip[row]
         release(values[rows])
 
     return np.diff(result, axis=0)

@@ -43,13 +43,15 @@ def pair(first: Frames, second: Frames) -> Pair:
     """Mean and temporal variance from two frames, free of fixed pattern and drift (EMVA 1288,
     section 6.6).
     """
-    a = first.astype(float)
-    b = second.astype(float)
-    variance = float(np.mean((a - b) ** 2)) / 2 - (a.mean() - b.mean()) ** 2 / 2
+    first_dn = first.astype(float)
+    second_dn = second.astype(float)
+    mean_square_dn2 = float(np.mean((first_dn - second_dn) ** 2))
+    drift_dn = first_dn.mean() - second_dn.mean()
+    variance = mean_square_dn2 / 2 - drift_dn**2 / 2
     return Pair(
-        float((a.mean() + b.mean()) / 2),
+        float((first_dn.mean() + second_dn.mean()) / 2),
         float(variance),
-        float((a.var(ddof=1) + b.var(ddof=1)) / 2),
+        float((first_dn.var(ddof=1) + second_dn.var(ddof=1)) / 2),
     )
 
 
@@ -82,10 +84,11 @@ def stack(frames: Iterable[Frames]) -> FrameStack:
     total = np.zeros((), np.int64)
     squares = np.zeros((), np.int64)
     for frame in frames:
-        wide = frame.astype(np.int64)  # sums of squared 24-bit codes are exact up to 2^15 frames
+        # Sums of squared 24-bit codes are exact up to 2^15 frames.
+        frame_dn = frame.astype(np.int64)
         count += 1
-        total = total + wide
-        squares = squares + wide * wide
+        total = total + frame_dn
+        squares = squares + frame_dn * frame_dn
 
     if count < 2:
         raise invalid("frames of a stack", count, "2 or more")
@@ -196,11 +199,11 @@ def slope_through_origin(x: Array, y: Array, y_error: Array, common_error: float
     """Least-squares slope through the origin. `common_error` is the standard error of a constant
     subtracted from every y.
     """
-    power = float(np.sum(x * x))
+    sum_of_squares = float(np.sum(x * x))
     error = math.hypot(
         math.sqrt(float(np.sum((x * y_error) ** 2))), common_error * float(np.sum(x))
     )
-    return Estimate(float(np.sum(x * y)) / power, error / power)
+    return Estimate(float(np.sum(x * y)) / sum_of_squares, error / sum_of_squares)
 
 
 def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimate]:
@@ -208,9 +211,9 @@ def straight_line(x: Array, y: Array, y_error: Array) -> tuple[Estimate, Estimat
     of the points.
     """
     centred = x - x.mean()
-    power = float(np.sum(centred**2))
-    slope = float(np.sum(centred * y)) / power
-    slope_weights = centred / power
+    sum_of_squares = float(np.sum(centred**2))
+    slope = float(np.sum(centred * y)) / sum_of_squares
+    slope_weights = centred / sum_of_squares
     intercept_weights = 1 / x.size - x.mean() * slope_weights
     slope_error = math.sqrt(float(np.sum((slope_weights * y_error) ** 2)))
     intercept_error = math.sqrt(float(np.sum((intercept_weights * y_error) ** 2)))
@@ -408,10 +411,10 @@ def spatial_parts(
     """
     rows, columns = images.mean_dn.shape
     mean = images.mean_dn
-    noise = images.temporal_dn2 / images.frames
+    residual_dn2 = images.temporal_dn2 / images.frames
     total = images.spatial_dn2
-    columns_dn2 = float(mean.mean(axis=0).var()) - noise / rows
-    rows_dn2 = float(mean.mean(axis=1).var()) - noise / columns
+    columns_dn2 = float(mean.mean(axis=0).var()) - residual_dn2 / rows
+    rows_dn2 = float(mean.mean(axis=1).var()) - residual_dn2 / columns
     row_noise_dn2 = row_noise.in_mean(images.frames).variance_dn2
 
     # The means of columns hold a part of the variances of rows and pixels, and the reverse.
@@ -422,9 +425,9 @@ def spatial_parts(
 
     return (
         # Temporal noise adds to the means themselves, with what single pixels leave in them.
-        Estimate(column_dn2, _spatial_error(columns_dn2, noise / rows, columns)),
-        Estimate(row_dn2, _spatial_error(rows_dn2, noise / columns + row_noise_dn2, rows)),
-        Estimate(pixel_dn2, _spatial_error(pixel_dn2, noise, rows * columns)),
+        Estimate(column_dn2, _spatial_error(columns_dn2, residual_dn2 / rows, columns)),
+        Estimate(row_dn2, _spatial_error(rows_dn2, residual_dn2 / columns + row_noise_dn2, rows)),
+        Estimate(pixel_dn2, _spatial_error(pixel_dn2, residual_dn2, rows * columns)),
     )
 
 

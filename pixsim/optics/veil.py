@@ -63,8 +63,8 @@ def veil_of(irradiance: SpectralImage, camera: Camera) -> _VeilingGlare | None:
 
 
 def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
-    nm, share = np.array(glare).T
-    return irradiance.band_mean(lambda wavelength_nm: np.interp(wavelength_nm, nm, share))
+    table_nm, share = np.array(glare).T
+    return irradiance.band_mean(lambda wavelength_nm: np.interp(wavelength_nm, table_nm, share))
 
 
 def with_veil_of_whole(irradiance: SpectralImage, camera: Camera) -> SpectralImage:
