@@ -83,13 +83,13 @@ def strips(count: int, width: int, samples: int | None = None) -> Iterator[slice
 def strips_of(
     shape: tuple[int, ...], dtype: DTypeLike = np.float64, samples: int | None = None
 ) -> Iterator[tuple[slice, NDArray[Any]]]:
-    """Slice of rows and an uninitialised work array (…, rows, W) for each strip of planes (…, H,
-    W), as large as those of float64.
+    """Yield the rows of each strip of planes (…, H, W), as a slice, with an uninitialised work
+    array (…, rows, W). Strips of all types take as many bytes as in float64.
 
     All strips share one work array: allocating the pages of a new one costs more than the
     arithmetic.
 
-    samples : float64 numbers of a strip, as of `strips`
+    samples : float64 numbers of a strip, as in `strips`
     """
     work, (height, width) = None, shape[-2:]
     for rows in strips(height, width, (samples or STRIP_SAMPLES) * 8 // np.dtype(dtype).itemsize):

@@ -86,7 +86,7 @@ def check_broadcast(**shapes: tuple[int, ...]) -> None:
 
 
 def field_bounds(stated: Sequence[object]) -> Bounds | None:
-    """The bounds that parts of an annotation state; None if they state none."""
+    """Return the bounds that parts of an annotation state, or None if they state none."""
     from pydantic.fields import FieldInfo
 
     parts = [part for field in stated if isinstance(field, FieldInfo) for part in field.metadata]
@@ -133,7 +133,7 @@ def without_bounds(annotation: str, owner: Any) -> str:
 
 
 def parts_of(value: object) -> Iterator[object]:
-    """Yield the numbers and arrays of nested lists; what is no list is one."""
+    """Yield the numbers and arrays of nested lists, or a single value that is not a list."""
     if isinstance(value, list | tuple):
         for part in value:
             yield from parts_of(part)

@@ -204,7 +204,9 @@ def can_hold(kind: str) -> bool:
 
 
 def _load(kind: str, key: str, suffix: str, read: Callable[[IO[bytes]], Result]) -> Result | None:
-    """What a function reads of the content of an entry; None if the entry is missing or damaged."""
+    """Return what a function reads from the content of an entry, or None if the entry is missing or
+    damaged.
+    """
     path = folder() / kind / f"{key}{suffix}"
     if not limit_bytes() or _is_linked(path) or not path.is_file():
         return None
@@ -285,8 +287,8 @@ class _CacheFile:
 
 
 def entries(kind: str | None = None) -> list[_CacheFile]:
-    """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only
-    if `kind` names them.
+    """Return all entries, or the entries of a kind, in order of last use. Files of Mitsuba and
+    Matplotlib only if `kind` names them.
     """
     listed = []
     for path in _files():
@@ -328,7 +330,7 @@ def trim() -> int:
 
 
 def clear(kind: str | None = None) -> int:
-    """Remove all entries, or those of a kind; return bytes freed."""
+    """Remove all entries, or all of a kind, and return the bytes freed."""
     return sum(_remove(entry) for entry in entries(kind))
 
 

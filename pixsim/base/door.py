@@ -136,7 +136,7 @@ def _arguments(
 
 
 class _Annotated:
-    """The annotations of a function's arguments without that of its result, which only the type
+    """The annotations of a function's arguments, without its result, whose type only the type
     checker may know.
     """
 
@@ -256,7 +256,7 @@ def _array_of(
 
     axes : their number; None allows any
     dtype : of the result; None leaves it
-    is_array : whether the annotation is that of an array, which has axes and is not empty
+    is_array : whether the annotation is an array, which has axes and is not empty
     """
     import numpy as np
 

@@ -86,7 +86,7 @@ def warn(note: Note) -> None:
 
 
 def note_of(message: Warning | str) -> Note:
-    """Return the note of a warning; that of another library has the id "other"."""
+    """Return the note of a warning; the id is "other" for a warning of another library."""
     content = message.args[0] if isinstance(message, Warning) and message.args else message
     return (
         content

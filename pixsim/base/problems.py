@@ -25,7 +25,7 @@ class Words:
     """How users call a field otherwise, and what they may mean by a value that it does not allow:
     part of its annotation.
 
-    also : other words for it; those of several fields mean any of them
+    also : other words for it; a word of several fields means any of them
     instead : such a word, also the field's own name in another table -> what a message says of it,
         in place of the names
     hint : returns how to write a value, from the path of a name in the field (empty for the field
@@ -148,9 +148,7 @@ def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
 def _fields(
     record: type[BaseModel], above: Sequence[str] = ()
 ) -> Iterator[tuple[list[str], FieldInfo]]:
-    """Dotted paths of the fields of a record, and of those of its tables, which have no tables that
-    others mean.
-    """
+    """Yield the dotted paths of the fields of a record and of its tables, one level deep."""
     for name, info in record.model_fields.items():
         yield [*above, name], info
         inner = _record_in(info.annotation)
@@ -203,7 +201,7 @@ def _value(value: object, layer: Layer | None) -> str:
 
 
 def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
-    """The layer that a problem comes from; None if it comes from no file.
+    """Return the layer that a problem comes from, or None if it comes from no file.
 
     A missing value, or a conflict between values, has none: it is the last layer with the enclosing
     table.
@@ -251,13 +249,13 @@ def _names_at(title: str, path: list[str]) -> list[str]:
 
 
 def _field(title: str, path: Sequence[str]) -> FieldInfo | None:
-    """The field at a dotted path below the record named `title`; None if there is none."""
+    """Return the field at a dotted path below the record named `title`, or None."""
     record = _record(title, path[:-1])
     return record.model_fields.get(path[-1]) if record and path else None
 
 
 def _record(title: str, path: Sequence[str]) -> type[BaseModel] | None:
-    """The record at a dotted path below the record named `title`; None if there is none."""
+    """Return the record at a dotted path below the record named `title`, or None."""
     record = RECORDS.get(title)
     for part in path:
         if not part.isdecimal():  # the place in a list
@@ -267,7 +265,7 @@ def _record(title: str, path: Sequence[str]) -> type[BaseModel] | None:
 
 
 def _record_in(annotation: Any) -> type[BaseModel] | None:
-    """The first class of a record in an annotation, such as that of a list of records; None if
+    """Return the first class of a record in an annotation, such as a list of records, or None if
     there is none.
     """
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):

@@ -28,10 +28,9 @@ def no_stage(_: str) -> Progress:
 def share_of(
     progress: Progress | None, first: float, last: float, note: str = ""
 ) -> Progress | None:
-    """Return a function that takes the fraction done of a part of some work, for one that takes
-    that of all of it.
+    """Return the progress of a part of some work, from the progress of all of it.
 
-    first, last : what is done of all when the part begins, and when it ends
+    first, last : fraction of all work that is done when the part begins, and when it ends
     note : of the part
     """
     if progress is None:
@@ -75,7 +74,7 @@ def report(done: float) -> None:
 
 
 def watched_share(first: float, last: float) -> AbstractContextManager[None]:
-    """Report what is done meanwhile as a share of what is watched."""
+    """Report the progress of a block as a share of the computation that is watched."""
     return watched(share_of(_REPORTED_TO.get(), first, last))
 
 
@@ -173,7 +172,7 @@ _TERMINAL_VARIABLES = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 
 
 def _bars() -> Any:
-    """Bars for a terminal; None elsewhere."""
+    """Return bars for a terminal, or None elsewhere."""
     if not (sys.stderr.isatty() or any(name in os.environ for name in _TERMINAL_VARIABLES)):
         return None  # without the import of Rich, which takes 0.05 s
     from rich import console, progress

@@ -128,7 +128,7 @@ class Record(BaseModel, metaclass=_RecordType):
 
 
 def restated_by(record: type[Record], names: Iterable[str]) -> set[str]:
-    """Return the fields that cannot be given together with those of `names`, since they state the
+    """Return the fields that cannot be given together with the fields `names`, since they state the
     same quantity.
     """
     stated, restated = set(names), set[str]()

@@ -53,7 +53,7 @@ def result_data(
     table: str | None = None,
     optima: Iterable[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Return the data of a result for JSON, with the entries that those of all commands have.
+    """Return the data of a result for JSON, with the entries that all commands have.
 
     content : entries of this command alone
     settings : that it was computed with

@@ -65,7 +65,7 @@ def content_of(value: object, seen: list[object]) -> str:
 
 
 def _is_versioned(function: FunctionType) -> bool:
-    """Return whether a function is that of a package, whose version stands for its code."""
+    """Return whether a function belongs to a package, whose version stands for its code."""
     return function.__code__.co_filename.startswith(_VERSIONED_FOLDERS)
 
 

@@ -103,7 +103,7 @@ def doctor_document(findings: list[Diagnosis]) -> Document:
 
 
 def _required() -> list[str]:
-    """Names of the installed packages that pixsim requires, without those of extras; empty if
+    """Return the names of the installed packages that pixsim requires, without extras; empty if
     pixsim itself is not installed.
     """
     try:

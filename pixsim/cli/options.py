@@ -350,7 +350,7 @@ def _option_table(record: type[Record], name: str, inside: str = "") -> object:
     """Return the fields of a record as dotted options, as text that the record validates; None if
     no option is given.
 
-    name : of the options; of a record in a field of another one, that of the field
+    name : of the options, which is the name of the field for a record in another one
     inside : name of the options of that other record
     """
     fields: list[tuple[str, Any, Any]] = []
@@ -459,7 +459,7 @@ class SceneOptions:
     def study_tables(
         self, scene: str | None, effort: EffortOptions, **others: object
     ) -> dict[str, Any]:
-        """The options as tables of a study, in place of those of its file.
+        """Return the options as tables of a study, which replace the tables of its file.
 
         scene : XML file or name of a packaged scene
         others : further tables and fields
@@ -500,9 +500,7 @@ class ScoreOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class StudyOptions:
-    """Options of study and compare: what judges and varies sensors, how many are drawn, what it may
-    cost, and what is written.
-    """
+    """Options of study and compare: metrics, axes, random sensors, effort and output."""
 
     scene_options: SceneOptions = SceneOptions()
     display: DisplayTable = None
@@ -618,7 +616,7 @@ class StudyOptions:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The options that are tables and fields of a study, beside those of `SceneOptions`."""
+        """The options that are tables and fields of a study, without `SceneOptions`."""
         names = "display", "pitch", "seed", "refine", "tolerance_e", "noise_budget"
         return {name: getattr(self, name) for name in names} | vars(self.score_options)
 
@@ -643,8 +641,8 @@ def without_none(options: dict[str, Any]) -> dict[str, Any]:
 def definitions(
     pairs: list[str] | None, linear: bool = False, assets: str | None = None
 ) -> dict[str, str] | None:
-    """A table of scene parameters from name=value pairs, --linear and --assets; None if there are
-    none.
+    """Return the table of scene parameters from name=value pairs, --linear and --assets, or None if
+    there are none.
     """
     table = {"chart_linear": "1"} if linear else {}
     table |= {"assets": assets} if assets is not None else {}

@@ -451,8 +451,8 @@ def _differences_data(result: Comparison, condition: str | None = None) -> dict[
 def data(result: Comparison) -> dict[str, Any]:
     """Return compare.json.
 
-    With conditions the answers are those of the weighted mean, and all else is of the condition
-    whose pictures are shown.
+    With conditions the answers are by the weighted mean, and all else is of the condition whose
+    pictures are shown.
     """
     job, group = result.job, result.pictured_group
     content: dict[str, Any] = {
@@ -563,7 +563,7 @@ def _metric_data(result: Comparison, metric: Metric) -> dict[str, Any]:
 
 
 def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:
-    """Return the entry of compare.json; `statistics` are those of its first frame, as in
+    """Return the entry of a sensor in compare.json; `statistics` are of its first frame, as in
     score.json.
     """
     case, settings, score, light = sensor.case, sensor.case.settings, sensor.score, sensor.light
@@ -603,7 +603,9 @@ _PAIRED = (
 
 
 def _slider(result: Comparison) -> Slider:
-    """Return the picture of the first sensor beside that of another one, or the ideal image."""
+    """Return the slider with the picture of the first sensor on the left, and of another one, or
+    the ideal image, on the right.
+    """
     first, *others = [
         Picture(display_codes(reduced(sensor.score.image)), sensor.name)
         for sensor in result.sensors
@@ -734,8 +736,8 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
 
 
 def _settings(result: Comparison) -> list[Block]:
-    """Return the settings of each sensor side by side, then those of all sensors, and what each
-    condition sets.
+    """Return the settings of each sensor side by side, then the common settings, and the settings
+    of each condition.
     """
     group, study = result.pictured_group, result.job.study
     is_coloured = any(case.settings.pixel.colour for case in group.cases)

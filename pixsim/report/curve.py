@@ -246,7 +246,7 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
 
 
 def fitted_at(curve: Curve, pitch_um: Array) -> Array:
-    """Return the fitted first metric at pixel sizes; NaN beyond those of the curve."""
+    """Return the fitted first metric at pixel sizes; NaN beyond the range of the curve."""
     values = curve.metric.from_loss(curve.fit.delta_e)
     return np.interp(
         np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan

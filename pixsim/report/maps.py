@@ -172,8 +172,8 @@ class Panel:
     """The curves of a panel, or of a line, of a figure.
 
     label : what tells it from others
-    rows : of curves, for each value of one axis those along another one; None for a case that the
-        study leaves out
+    rows : of curves along one axis, a row for each value of another; None for a case that the study
+        leaves out
     """
 
     label: str
@@ -399,8 +399,7 @@ def plate_names(study: Study) -> list[str]:
 
 
 def axis_plates(result: CasesResult) -> list[Plate]:
-    """Return the figures of every axis that is not moved alone, then those of every two of them;
-    none without such axes.
+    """Return the figures of every axis that is not moved alone, then of every pair of them.
 
     Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and
     the least mean ΔE.
@@ -707,8 +706,8 @@ def _draw_contours(
 
 @dataclass(frozen=True)
 class Group:
-    """The curves of one technology and condition about the base: the base's own, and those of each
-    axis that is moved alone.
+    """The curves of one technology and condition about the base: the curve of the base, and the
+    curves of each axis that is moved alone.
     """
 
     label: str
@@ -721,7 +720,7 @@ class Group:
 
 
 def one_at_a_time_plate(result: CasesResult) -> Plate | None:
-    """Return the figure of the axes that are moved alone about the base; None without such."""
+    """Return the figure of the axes that are moved alone about the base, or None."""
     names = [axis.name for axis in result.study.axis if axis.alone]
     return (
         tornado(result, one_at_a_time_groups(result, names))

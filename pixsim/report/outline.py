@@ -1,6 +1,4 @@
-"""What `pixsim run` and `pixsim study` would do, for --dry-run, and `pixsim plan`: what is found
-before a render, and its cost.
-"""
+"""Documents of --dry-run and of `pixsim plan`: settings, film and cost before a render."""
 
 from __future__ import annotations
 
@@ -36,8 +34,8 @@ def run_outline(prepared: Job[Run]) -> dict[str, Any]:
 
 
 def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
-    """Return what a study would do; nothing is rendered or written. The arguments are those of
-    `planned_study`.
+    """Return what a study would do; nothing is rendered or written. `planned_study` describes the
+    arguments.
     """
     return common_entries(job, job.settings.scene.file, job.settings.camera) | planned_study(
         job, jobs, types

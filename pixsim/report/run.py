@@ -640,7 +640,7 @@ def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
 
 
 def _shown_statistics(result: RunResult) -> list[str]:
-    """Return the names of the statistics that are printed; those of ΔE where it was asked for."""
+    """Return the names of the statistics that are printed, by ΔE only where it is a metric."""
     has_delta_e = judged_by_delta_e(result.settings)
     return [name for name in result.statistics[0] if has_delta_e or not name.endswith("_delta_e")]
 

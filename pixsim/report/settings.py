@@ -97,7 +97,7 @@ def settings_tables(
     from_data_sheet: bool,
     sources: Mapping[str, str] | None = None,
 ) -> list[DocumentTable]:
-    """Return the tables of a page with all settings of a result, that of its scene first.
+    """Return the tables of a page with all settings of a result, first the table of its scene.
 
     pixel : None for sensors that have one each
     from_data_sheet, sources : of `record_rows`

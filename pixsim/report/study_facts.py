@@ -49,8 +49,8 @@ def study_view_words(result: StudyResult) -> list[str]:
 
 
 def study_light_words(result: StudyResult) -> list[str]:
-    """Return a line on the lens of a study, its field, what is display white, and the exposure;
-    none where its cases differ.
+    """Return a line on the lens of a study, its field, the display's white and the exposure; no
+    line where its cases differ.
     """
     lines = []
     for part in result.cases:
@@ -66,7 +66,7 @@ def study_light_words(result: StudyResult) -> list[str]:
 
 
 def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
-    """Return a line on the best sizes by information at contrasts other than that of a study; none
+    """Return a line on the best sizes by information at contrasts other than the study's; no line
     without such optima.
     """
     contrasts = result.part_of(curve).study.metric.information.other_contrasts or ()

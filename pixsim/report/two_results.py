@@ -1,4 +1,4 @@
-"""Two results that are compared: what is said of them, and their numbers."""
+"""The document of two compared results: verdicts, differences and numbers."""
 
 from __future__ import annotations
 

@@ -52,8 +52,8 @@ def best_index(curve: Curve) -> int:
 
 
 def map_end(result: StudyResult) -> float:
-    """Return the end of the colour scale of a study's ΔE maps, from those of its smallest, best and
-    largest pixels.
+    """Return the end of the colour scale of a study's ΔE maps, from the maps of its smallest, best
+    and largest pixels.
     """
     largest_p99 = [
         curve.mean("p99_delta_e")[[0, best_index(curve), -1]].max() for curve in result.curves

@@ -88,7 +88,7 @@ class DocumentTable(_DocumentRecord):
     A row of one cell is the heading of those below it. The last cell of another short row takes the
     columns that are left.
 
-    name : of what is in it, for those who do not see it
+    name : of the table, for readers of a screen reader
     head : names of the columns, with their units in a second line where that is shorter; empty for
         a table without
     words : columns that are not numbers, beside the first; None for all
@@ -125,8 +125,8 @@ class Plot:
         )
 
     def drawn_as(self, figures: Figures) -> DrawnFigure:
-        """Return the figure with the files that are asked for; one that was drawn elsewhere has
-        those of its drawing.
+        """Return the figure with the files that are asked for; a figure that was drawn elsewhere
+        keeps its files.
         """
         if figures == "svg" or isinstance(self._plate_or_drawn, DrawnFigure):
             return self.drawn
@@ -176,7 +176,7 @@ class Slider:
     """A whole picture on the left of a border that moves, and one of others on its right.
 
     id : of its place in the page
-    left_words, right_words : what is on each side
+    left_words, right_words : name the picture on each side
     """
 
     id: str

@@ -118,9 +118,9 @@ def pixsim_style() -> Iterator[None]:
     """Matplotlib's defaults and `_PIXSIM_SETTINGS` within a block or a function, and the user's
     settings again after it.
 
-    Whatever a matplotlibrc says, a figure is the same. Blocks may overlap, also those of threads.
+    Whatever a matplotlibrc says, a figure is the same. Blocks may overlap, also in several threads.
 
-    Raises PixsimError if the import of Matplotlib would wait for what is no file.
+    Raises PixsimError if the import of Matplotlib would wait for a pipe or a device.
     """
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE) and not os.path.isfile(RC_FILE):
         raise invalid(

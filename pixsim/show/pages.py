@@ -74,7 +74,7 @@ def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable
     """Register a function that draws a figure of a result, and return the function of its plate.
 
     name : of the kind of figure, and of its file unless `Plate.named` gives another one
-    caption : says what is drawn and what marks mean, whatever the numbers are
+    caption : describes the curves and the marks, whatever the numbers are
 
     The function is called in `pixsim_style`. Shorter columns of its table are padded with NaN.
     """

@@ -48,8 +48,8 @@ class Presenter:
         figures: Figures = "svg",
         seconds: Mapping[str, float] | None = None,
     ) -> Path:
-        """Write the files of a result, and return the path of its page; the arguments are those of
-        `Result.write`.
+        """Write the files of a result, and return the path of its page; `Result.write` describes
+        the arguments.
         """
         if figures != "svg" and not self.has_figures:
             got = f"'{figures}' for a {type(result).__name__}"

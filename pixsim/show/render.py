@@ -85,7 +85,7 @@ def lines(block: Block, width: int = WIDTH, indent: str = INDENT) -> Iterator[st
 
 
 def _table_lines(table: DocumentTable, width: int, indent: str) -> Iterator[str]:
-    """Yield a table in columns as wide as their longest cell; where that is too wide, those of
+    """Yield a table in columns as wide as their longest cell; where that is too wide, columns of
     words are wrapped.
     """
     heads = zip(*(cell.split("\n") for cell in table.head), strict=True)

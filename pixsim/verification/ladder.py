@@ -55,7 +55,7 @@ class Rung:
         across has half of it
     seconds : of render and score
     mean_delta_e : of the sensor
-    light, light_limit : errors that pixsim states by itself, and what is tolerated of them
+    light, light_limit : errors that pixsim states by itself, and their limits
     error_delta_e : difference from the reference; NaN without one
     """
 
@@ -143,8 +143,8 @@ def accuracy(
         precedence
     parameters : of the scene, each in its unit
     camera, lens, pixel, exposure, motion, correction, develop, display : fields of these tables,
-        each in its unit, which override those of the files
-    seed : of the render; None means that of `config`, or 0
+        each in its unit, which override the files
+    seed : of the render; None means the seed in `config`, or 0
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
     progress : returns a callback for each named stage

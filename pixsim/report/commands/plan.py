@@ -12,8 +12,8 @@ from pixsim.viewer.setting import Run
 def plan_answer(
     scene: str, settings: Run, *, full: bool, sensor: str | None, variant: str | None
 ) -> Document:
-    """Return the answer of `pixsim plan`; nothing is rendered. The arguments are those of
-    `pixsim.run`.
+    """Return the answer of `pixsim plan`; nothing is rendered. `pixsim.run` describes the
+    arguments.
 
     Raises PixsimError for invalid input.
     """

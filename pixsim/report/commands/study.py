@@ -57,8 +57,7 @@ def study_files(
     out : folder; None means one named by the study
     axes : NAME=VALUES each, over those of the files
     progress, seconds : stages, and where their wall times are collected
-    say : takes a line on what is about to be computed
-    The other keywords are those of `pixsim.study`.
+    say : takes a line on the computation that begins `pixsim.study` describes the other keywords.
 
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.
@@ -111,8 +110,8 @@ def study_files(
 
 
 def _picture_workers(result: StudyResult, jobs: int | None, scheduler: str | None) -> Workers:
-    """Return the processes that make the pictures: those of this machine, unless a Dask scheduler
-    has the others.
+    """Return the processes that make the pictures: processes of this machine, unless a Dask
+    scheduler evaluates.
     """
     if scheduler is not None:
         return Workers()
