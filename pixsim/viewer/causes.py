@@ -160,12 +160,12 @@ def _uninformative_cause(cause: Cause | None, saturated_fraction: float) -> Caus
     if cause is None and saturated_fraction >= _ALL_SATURATED:
         cause = Cause("all pixels are saturated", BLACK_TO_WHITE_DELTA_E, _less_light())
     elif cause is None:
-        more = (
+        remedy = (
             f"more light or time ({setting('exposure.integration_s')},"
             f" {setting('exposure.max_integration_s')})"
         )
         cause = Cause(
-            "its light is lost in the noise", BLACK_TO_WHITE_DELTA_E, f"{more}, or less noise"
+            "its light is lost in the noise", BLACK_TO_WHITE_DELTA_E, f"{remedy}, or less noise"
         )
     return Cause(f"{NOTHING}: {cause.words}", BLACK_TO_WHITE_DELTA_E, cause.hint)
 

@@ -351,35 +351,32 @@ def _check_room(chain: ImagingChain, moving: Moving) -> None:
     """Raise PixsimError if light from beyond the picture moves into the part of it that is
     scored.
     """
-    screen, read = chain.screen, chain.readout.physics
+    screen, physics = chain.screen, chain.readout.physics
     assert chain.scene is not None
     is_one_to_one = screen.display.raster == "one_to_one"
-    border_um = 0.0 if is_one_to_one else read.border_um
+    border_um = 0.0 if is_one_to_one else physics.border_um
+    row_count = chain.scene.array_um[0] / physics.read_pitch_um
     for axis, (edges, size_um) in enumerate(zip(screen.dot_edges_um, screen.size_um, strict=True)):
-        lines = chain.scene.array_um[0] / read.read_pitch_um
-        needed_um = (abs(moving.path_um[axis]) + abs(moving.row_um[axis]) * lines) / 2
+        # The path of a row, and how far the last row is read after the first.
+        needed_um = (abs(moving.path_um[axis]) + abs(moving.row_um[axis]) * row_count) / 2
         room_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - border_um)
-        if needed_um > room_um * (1 + ROUNDING):
-            got = (
-                f"a path of {2 * needed_um:.4g} µm on the sensor in"
-                f" {exposure_time(chain.exposure.integration_s or 0)}"
-            )
-            slower = f"slow it down ({', '.join(VELOCITIES)})"
+        if needed_um <= room_um * (1 + ROUNDING):
+            continue
+
+        time = exposure_time(chain.exposure.integration_s or 0)
+        got = f"a path of {2 * needed_um:.4g} µm on the sensor in {time}"
+        allowed = f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored"
+        slower = f"slow it down ({', '.join(VELOCITIES)})"
+        hint = (
+            f"Raise {setting('motion.margin_um')}, shorten"
+            f" {setting('exposure.max_integration_s')}, or {slower}."
+        )
+        if is_one_to_one:
             hint = (
-                f"Raise {setting('motion.margin_um')}, shorten"
-                f" {setting('exposure.max_integration_s')}, or {slower}."
+                "With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size',"
+                f" or {slower}."
             )
-            if is_one_to_one:
-                hint = (
-                    "With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size',"
-                    f" or {slower}."
-                )
-            raise invalid(
-                "motion",
-                got,
-                f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored",
-                hint,
-            )
+        raise invalid("motion", got, allowed, hint)
 
 
 def _check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
@@ -389,10 +386,12 @@ def _check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
     layout = physics.layout
     if layout is None:
         return
-    (high, wide), (rows, columns) = layout.period, shape
-    if rows < high or columns < wide:
+    cell_rows, cell_columns = layout.period
+    rows, columns = shape
+    if rows < cell_rows or columns < cell_columns:
         side = physics.pixel.bin_side
         binned = f" after binning of {side} × {side}" if side > 1 else ""
         got = f"{physics.pitch_um:g}, which leaves {rows} × {columns} pixels on the die{binned}"
-        allowed = f"at least the unit cell {', '.join(layout.cell)} of {high} × {wide} pixels"
+        cell_size = f"{cell_rows} × {cell_columns}"
+        allowed = f"at least the unit cell {', '.join(layout.cell)} of {cell_size} pixels"
         raise invalid("pixel.pitch_um", got, allowed, "Choose smaller pixels or a larger die.")

@@ -130,11 +130,11 @@ def as_tone_curve(value: object) -> object:
 def _read_tone_table(path: Path) -> _ToneTable:
     cells = read_cells(path, "tone curve", _ALLOWED_TONE, MAX_FILE_BYTES)
     rows = []
-    for place, (number, row) in enumerate(cells.rows):
+    for index, (number, row) in enumerate(cells.rows):
         numbers = [as_number(cell, cells.decimal) for cell in row[:2]]
         if len(numbers) == 2 and None not in numbers:
             rows.append((float(numbers[0] or 0), float(numbers[1] or 0)))
-        elif place:  # the first row may have titles
+        elif index:  # the first row may have titles
             raise ValueError(
                 f"got no two numbers in line {number} of '{path}'; allowed: {_ALLOWED_TONE}"
             )

@@ -192,13 +192,13 @@ def _variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]
 
     Valid where nothing clips: at 0 DN and at the well a frame varies less.
     """
-    p = chain.readout
+    readout = chain.readout
     light_e = chain.signal_e_per_s * integration_s
-    dark_e = p.dark_current_e_per_s * integration_s
+    dark_e = readout.dark_current_e_per_s * integration_s
 
     # From the codes back to the light.
-    variances = {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2}
-    sources = variances_e2(p, light_e=light_e, dark_e=dark_e)
+    variances = {ROUNDING: readout.rounding_variance_dn2 / readout.dn_per_e**2}
+    sources = variances_e2(readout, light_e=light_e, dark_e=dark_e)
     for name, value in reversed(sources.items()):
         mean_e2 = float(np.mean(value))
         if mean_e2 > 0:

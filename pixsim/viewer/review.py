@@ -29,25 +29,22 @@ def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
 
 
 def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | None]]]) -> None:
-    """Warn of what `review` says of several sensors, a note of all of them once, and other notes
-    with the sensor's name.
+    """Warn of the review of several sensors: of a note of all of them once, of other notes with the
+    sensor's name.
 
     sensors : name -> the settings of each of its cases, with their light
     """
-    names: dict[Note, list[str]] = {}
+    names_by_note: dict[Note, list[str]] = {}
     for name, cases in sensors.items():
         notes = (note for imaging, light in cases for note in review(imaging, light))
         for note in dict.fromkeys(notes):
-            names.setdefault(note, []).append(name)
+            names_by_note.setdefault(note, []).append(name)
 
-    for note in first_notes(
-        [
-            [
-                note if len(having) == len(sensors) else note.of(having)
-                for note, having in names.items()
-            ]
-        ]
-    ):
+    named_notes = [
+        note if len(names) == len(sensors) else note.of(names)
+        for note, names in names_by_note.items()
+    ]
+    for note in first_notes([named_notes]):
         warn(note)
 
 

@@ -397,7 +397,7 @@ def colour_delta_e_map(
     return _differences(reference_lab, _iter_lab_strips(spectrum, view), spectrum)
 
 
-def _differences(reference_lab: Finites, parts: Strips, spectrum: Planes) -> Floats:
+def _differences(reference_lab: Finites, lab_strips: Strips, spectrum: Planes) -> Floats:
     """Return the distances (H, W) of a reference (H, W, 3) from strips of CIELAB, in the precision
     of `spectrum` (3, H, W).
     """
@@ -412,7 +412,7 @@ def _differences(reference_lab: Finites, parts: Strips, spectrum: Planes) -> Flo
         )
     reference = reference.transpose(2, 0, 1)
     difference = np.empty(spectrum.shape[1:], spectrum.dtype)
-    for rows, lab in parts:
+    for rows, lab in lab_strips:
         _distance(reference[:, rows], lab, difference[rows])
     return difference
 
@@ -464,12 +464,12 @@ def _iter_lab_strips(spectrum: Planes, view: ViewingConditions, grey: bool = Fal
         yield rows, _lab_planes(strip, *view.constants)
 
 
-def _assemble_strips(parts: Strips, spectrum: Planes) -> Planes:
+def _assemble_strips(lab_strips: Strips, spectrum: Planes) -> Planes:
     """Return an image (H, W, 3) from strips of its planes, of the shape (3, H, W) and in the
     precision of `spectrum`.
     """
     planes = np.empty(spectrum.shape, spectrum.dtype)
-    for rows, lab in parts:
+    for rows, lab in lab_strips:
         for plane, part in zip(planes, lab, strict=True):
             plane[rows] = part
     return np.moveaxis(planes, 0, -1)

@@ -287,7 +287,7 @@ def amount_of_white(imaging: Imaging, irradiance: SpectralImage) -> Array:
     return luminance_of(ideal_on_dots(unit, irradiance, screen_rendition(unit, irradiance))[1])
 
 
-def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any]:
+def white_header(views: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any]:
     """Return header entries with a white for a scene of unknown white; none if the display or the
     scene defines the white.
 
@@ -299,12 +299,12 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
     Of light without luminance it is a radiance. `display.white = "diffuser"` takes that of a white
     plate, or of texel value 1 of an emissive chart, as the light says it, in place of any other.
 
-    seen : the pixels of each sensor with their light, all on one display
+    views : the pixels of each sensor with their light, all on one display
 
     Raises PixsimError if an ideal image is black up to that percentile, or if the light does not
     say what a white plate shows.
     """
-    imaging, irradiance = seen[0]
+    imaging, irradiance = views[0]
     display = imaging.display
     name = white_field(irradiance)
     if display.white is not None:
@@ -317,20 +317,20 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
         return {}
     estimate = max(
         float(np.percentile(amount_of_white(*pair), _WHITE_PERCENTILE, overwrite_input=True))
-        for pair in seen
+        for pair in views
     )
     unit = _UNITS_OF_WHITE[name]
     if not estimate > 0:
         got = "no value, and the picture is too dark to estimate it"
-        what = "luminance" if name == "white_cd_per_m2" else "radiance"
+        quantity = "luminance" if name == "white_cd_per_m2" else "radiance"
         raise invalid(
             f"display.{name}",
             got,
-            f"the scene {what} in {unit} shown as white",
+            f"the scene {quantity} in {unit} shown as white",
             f"Set {setting(f'display.{name}')}.",
         )
     white = _rounded_up(estimate, _WHITE_DIGITS)
-    among_sensors = "" if len(seen) == 1 else ", the largest of these sensors'"
+    among_sensors = "" if len(views) == 1 else ", the largest of these sensors'"
     source = f"the {_WHITE_FROM} in the sensor's response{among_sensors}, rounded up"
     fixed = f"set {setting(f'display.{name}', white)} to fix this value"
     warn(

@@ -74,9 +74,13 @@ def unsharp_products(
     With the blur g it is (1 + a)² δ - 2a(1 + a) g + a² g ⋆ g.
     """
     taps = gaussian_taps(sigma_px)
-    both = np.convolve(taps, taps)
-    parts = ((1 + amount) ** 2, np.ones(1)), (-2 * amount * (1 + amount), taps), (amount**2, both)
-    return tuple((factor, tuple(weights.tolist())) for factor, weights in parts)
+    taps_twice = np.convolve(taps, taps)
+    terms = (
+        ((1 + amount) ** 2, np.ones(1)),
+        (-2 * amount * (1 + amount), taps),
+        (amount**2, taps_twice),
+    )
+    return tuple((factor, tuple(weights.tolist())) for factor, weights in terms)
 
 
 def noise_gain(amount: NotNegative, sigma_px: Positive) -> float:
