@@ -79,13 +79,12 @@ def csf_frequency_on_sensor(
     parameters = stated if isinstance(stated, dict) else {}
     if header.get("scene") != "csf.xml" or "chart" in parameters:
         return None
+
     scale = DIE_MM / width_mm
-    highest = (
-        float(parameters[MAX_LP_PER_MM]) / scale
-        if MAX_LP_PER_MM in parameters
-        else _MAX_FREQUENCY_LP_PER_MM
-    )
-    return lambda x: scale * csf_frequency_lp_per_mm(x, highest)
+    highest_lp_per_mm = _MAX_FREQUENCY_LP_PER_MM
+    if MAX_LP_PER_MM in parameters:
+        highest_lp_per_mm = float(parameters[MAX_LP_PER_MM]) / scale
+    return lambda x: scale * csf_frequency_lp_per_mm(x, highest_lp_per_mm)
 
 
 def csf_contrast(y: UnitIntervals) -> Array:
@@ -114,11 +113,11 @@ def csf_value(
     highest_lp_per_mm : frequency at the right, above 1
     """
     low, high = LUMINANCE_CD_PER_M2
+    mean = (low + high) / (2 * high)
     growth = np.log(highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM)
-    cycles = (
-        die_mm / growth * (csf_frequency_lp_per_mm(x, highest_lp_per_mm) - MIN_FREQUENCY_LP_PER_MM)
-    )
-    return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
+    frequency = csf_frequency_lp_per_mm(x, highest_lp_per_mm)
+    cycles = die_mm / growth * (frequency - MIN_FREQUENCY_LP_PER_MM)
+    return mean * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
 
 
 def csf(
@@ -134,10 +133,10 @@ def csf(
     the contrast is at most 0.9 % low, in the lowest half row. Values are rounded to 2⁻¹⁸, 0.04 % of
     the lowest contrast, which halves the file.
     """
-    x, y = (np.arange(width) + 0.5) / width, ((np.arange(height) + 0.5) / height)[:, None]
-    return (np.rint(csf_value(x, y, die_mm, highest_lp_per_mm) * _CSF_STEPS) / _CSF_STEPS).astype(
-        np.float32
-    )
+    x = (np.arange(width) + 0.5) / width
+    y = ((np.arange(height) + 0.5) / height)[:, None]
+    values = csf_value(x, y, die_mm, highest_lp_per_mm)
+    return (np.rint(values * _CSF_STEPS) / _CSF_STEPS).astype(np.float32)
 
 
 def _antialiased(
@@ -157,14 +156,17 @@ def slanted_edge(
     """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the
     right, `dark` on the left.
     """
-    factor, slope = _POINTS_PER_TEXEL, np.tan(np.radians(_SLANT_DEG))
+    factor = _POINTS_PER_TEXEL
+    slope = np.tan(np.radians(_SLANT_DEG))
     x, y = ((np.arange(size * factor) + 0.5) / (size * factor) for size in (width, height))
+
     # All points of a line to the right of the edge are inside, so the first one says how many each
     # texel has.
     first = np.searchsorted(x - 0.5, (0.5 - y) * slope, side="right").reshape(height, factor)
-    ends, cover = factor * np.arange(1, width + 1), np.zeros((height, width))
+    texel_ends = factor * np.arange(1, width + 1)
+    cover = np.zeros((height, width))
     for row, starts in enumerate(first):
-        cover[row] = np.clip(ends - starts[:, None], 0, factor).sum(axis=0) / factor**2
+        cover[row] = np.clip(texel_ends - starts[:, None], 0, factor).sum(axis=0) / factor**2
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 

@@ -45,27 +45,26 @@ def details_across(
     pitch_um: float,
     chart_details: float | None = None,
 ) -> tuple[float, str]:
-    """Return how many of the finest details that matter fit across the die, and what they are.
+    """Return how many of the finest details that matter fit across the die, and their name.
 
     aperture_side_um, pitch_um : of the smallest pixel
     chart_details : details of a chart that fills the film, or None if the scene may have any
     """
-    die_um = 1e3 * camera.die_mm
+    # Aliasing shows details of the scene down to half a dot, if the pixel and the lens pass them.
     dots = dots_across(camera, display, pitch_um)
-    finer = {
-        "photodiodes": die_um / aperture_side_um,
-        "half periods of the lens's cut-off": 2
-        * float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
-        * camera.die_mm,
+    cutoff_cy_per_die = float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number)) * camera.die_mm
+    limits = {
+        "photodiodes": 1e3 * camera.die_mm / aperture_side_um,
+        "half periods of the lens's cut-off": 2 * cutoff_cy_per_die,
         "half dots of the display": _DETAIL_PER_DOT * dots,
     }
-    name = min(finer, key=lambda name: finer[name])
-    details, name = (finer[name], name) if finer[name] > dots else (dots, "dots of the display")
-    return (
-        (details, name)
-        if chart_details is None or chart_details >= details
-        else (chart_details, "details of the chart")
-    )
+    name = min(limits, key=lambda name: limits[name])
+    details = limits[name]
+    if details <= dots:
+        details, name = dots, "dots of the display"
+    if chart_details is not None and chart_details < details:
+        return chart_details, "details of the chart"
+    return details, name
 
 
 def film_bytes(cells: float, planes: int) -> float:
@@ -76,16 +75,13 @@ def film_bytes(cells: float, planes: int) -> float:
 
 
 def film_memory_bytes(cells: float, planes: int) -> float:
-    """Return the memory alone: two planes of float64, work arrays, and what of the pictures is not
-    in a file (`base/mapped.py`).
+    """Return the memory alone: two planes of float64, work arrays, and the pictures that are not in
+    a file (`base/mapped.py`).
     """
-    arrays = 8 * cells * planes, 8 * cells * planes, 4 * cells * planes, 4 * cells * planes
-    return (
-        PROGRAM_BYTES
-        + _STRIP_BYTES
-        + 16 * cells
-        + sum(size for size in arrays if size <= MAX_MEMORY_BYTES)
-    )
+    float64_bytes, float32_bytes = 8 * cells * planes, 4 * cells * planes
+    pictures = float64_bytes, float64_bytes, float32_bytes, float32_bytes
+    in_memory = sum(size for size in pictures if size <= MAX_MEMORY_BYTES)
+    return PROGRAM_BYTES + _STRIP_BYTES + 16 * cells + in_memory
 
 
 def largest_film(height_over_width: float, planes: int, cells_in_time: float = math.inf) -> int:

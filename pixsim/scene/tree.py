@@ -158,16 +158,19 @@ def _cached_tree(text: str, variant: str) -> Tree:
     )
 
 
-_recent_tree = lru_cache(_MAX_TREES)(_cached_tree)  # a case of a study asks for its trees ten times
+# A case of a study needs its trees ten times.
+_recent_tree = lru_cache(_MAX_TREES)(_cached_tree)
 
 
 def tree_of(state: ParserState) -> Tree:
     """Return the tree of Mitsuba's parser state."""
     nodes = []
     for node in state.nodes:
-        properties = {name: _property(node.props, name) for name in node.props.keys()}  # noqa: SIM118
+        names = list(node.props.keys())
+        properties = {name: _property(node.props, name) for name in names}
         nodes.append(Node(node.type.name, node.props.plugin_name(), node.props.id(), properties))
-    return Tree(nodes, {str(name): int(index) for name, index in dict(state.id_to_index).items()})
+    id_to_index = {str(name): int(index) for name, index in dict(state.id_to_index).items()}
+    return Tree(nodes, id_to_index)
 
 
 def _check_tree(tree: Tree) -> Tree:

@@ -293,9 +293,8 @@ def _read_exrs(mi: ModuleType, state: ParserState) -> None:
 
     for node in state.nodes:
         props = node.props
-        references = [name for name in props.keys() if props.type(name).name == "ResolvedReference"]  # noqa: SIM118
-        for name in references:
-            if props[name].index() in textures:
+        for name in list(props.keys()):
+            if props.type(name).name == "ResolvedReference" and props[name].index() in textures:
                 props[name] = textures[props[name].index()]
 
 
