@@ -122,9 +122,7 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
 
 
 def _field_control(schema: Mapping[str, Any], path: str) -> Control | None:
-    """Return the control of a field of `Run`, from its JSON schema; None if there is no such
-    field.
-    """
+    """Return the control of a field of `Run` from its JSON schema, or None for an unknown field."""
     table, _, name = path.partition(".")
     record_name = schema["properties"].get(table, {}).get("$ref", "").rpartition("/")[2]
     declared = schema["$defs"].get(record_name, {}).get("properties", {}).get(name)
@@ -157,8 +155,9 @@ def _field_control(schema: Mapping[str, Any], path: str) -> Control | None:
 
 
 class Preset(NamedTuple):
-    """Settings files, and options over them, to start from; with a name, and that of a group of
-    names.
+    """Settings to start from: files, and options over them.
+
+    group, name : labels, for a list of presets
     """
 
     group: str
@@ -194,9 +193,7 @@ def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset
 
 
 def with_values(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict[str, Any]:
-    """Return tables with the values of some dotted fields over them; None leaves a field as it
-    is.
-    """
+    """Return tables with the values of dotted fields over them; a value of None changes nothing."""
     overrides = (
         nested(path.split("."), value) for path, value in values.items() if value is not None
     )

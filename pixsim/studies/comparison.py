@@ -115,11 +115,10 @@ class DisplayDifference:
 class Comparison(Result):
     """Sensors in one scene. The first one is a, each later one is b.
 
-    The difference of a and b compares these two alone, with a chart, field, dots and border of their
-    own.
-    So it does not depend on the other sensors. The mean ΔE of three sensors and more (`delta_e`,
-    `scores`) are those on one display for all. Under conditions, both are weighted means. With
-    axes, they are those at their first values; `cases` has the others.
+    The difference of a and b compares these two alone, with a chart, field, dots and border of
+    their own, so that it does not depend on the other sensors. The mean ΔE of three sensors and
+    more (`delta_e`, `scores`) is on one display for all. Under conditions, both are weighted means.
+    With axes, they are at the first values of the axes; `cases` has the others.
 
     job : what was compared: scene, cameras, display and seeds
     table : of all evaluations

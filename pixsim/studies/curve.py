@@ -185,9 +185,7 @@ class Curve(Result):
 
     @property
     def optimum_features(self) -> float | None:
-        """The optimum in units of the feature size; None for a sensor given by its data sheet,
-        which has no process.
-        """
+        """The optimum in units of the feature size, or None for a data sheet without a process."""
         if self.feature_size_um is None:
             return None
         return self.optimum.pitch_um / self.feature_size_um
@@ -314,12 +312,11 @@ class Curve(Result):
 
     @cached_property
     def no_difference_um(self) -> tuple[float, float] | None:
-        """Range of tested pitches around the best whose mean ΔE differ by less than 0.05,
-        uncertainty included; None if narrow.
+        """Range of pitches around the best whose mean ΔE differs by less than 0.05, with its error.
 
         The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²).
-        The range is the widest of neighbouring pitches with the best of them; one of a ratio below
-        `WIDE_RATIO` is narrow, as around any smooth minimum.
+        The range is the widest of neighbouring pitches with the best of them; None if its ratio is
+        below `WIDE_RATIO`, as around any smooth minimum.
         """
         if not self.judged_by_delta_e:
             return None  # the threshold is one of ΔE
@@ -364,8 +361,9 @@ class Curve(Result):
 
     @property
     def doubtful_below_um(self) -> float | None:
-        """Pitch below which the model of the microlenses is doubtful: a Fresnel number of 1; None
-        without microlenses.
+        """Pitch below which the model of the microlenses is doubtful: at a Fresnel number of 1.
+
+        None without microlenses.
         """
         if self.fresnel_number is None:
             return None

@@ -64,8 +64,9 @@ def extent(
 def csf_range_lp_per_mm(
     irradiance: SpectralImage, border_um: Border = NO_BORDER
 ) -> tuple[float, float] | None:
-    """Return the lowest and highest frequency of the CSF chart within a border; None for another
-    scene.
+    """Return the lowest and highest frequency of the CSF chart within a border.
+
+    Returns None for another scene.
     """
     left, right, _, _ = extent(irradiance, border_um)
     width_mm = extent(irradiance)[1]
@@ -85,8 +86,7 @@ def csf_contrasts(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> t
 
 
 def stated_end_lp_per_mm(header: Mapping[str, Any]) -> float | None:
-    """Return the highest frequency that a scene's parameters give the CSF chart; None if they state
-    none.
+    """Return the highest frequency that a scene's parameters give the CSF chart, or None without.
 
     header : of an irradiance
     """
@@ -212,9 +212,7 @@ def mpe30_lx_s(
     exceeds saturation.
     """
     snr = 10 ** (30 / 20)
-    readout = Readout.of(
-        physics, result.study.exposure, bin_side=1
-    )  # the area is that of single pixels
+    readout = Readout.of(physics, result.study.exposure, bin_side=1)  # single pixels
     noise_e2 = (
         float(variance_e2(readout, is_temporal=True)) + readout.dark_current_e_per_s * integration_s
     )

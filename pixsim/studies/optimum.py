@@ -114,7 +114,7 @@ class Optimum:
         between the sizes tried, which more sizes narrow; the rest is noise, which more sensors
         narrow. 1 for a metric without noise
     within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close
-        to the minimum; None for an end at the smallest or the largest pitch tried
+        to the minimum, with None for an end at the smallest or the largest pitch tried
     is_of_reciprocal : whether what was fitted is the reciprocal of a metric of which more is
         better; then `value` is the metric, and the fields in ΔE are that reciprocal
     """

@@ -102,9 +102,7 @@ def _criterion_of(curve: Curve, name: str, weight: float | None = None) -> Crite
 
 
 def metric_regrets(curve: Curve) -> Regrets | None:
-    """Return the regrets of the metrics of a curve; None if fewer than two of them tell a best
-    size.
-    """
+    """Return the regrets of the metrics of a curve, or None if fewer than two have an optimum."""
     if len(curve.optima) < 2:
         return None
     by_metric = [curve.judged_by(name) for name in curve.optima]
@@ -167,10 +165,10 @@ def _regrets(study: Study, curves: Sequence[Curve], weights: dict[str, float]) -
 def weighted_fit(
     study: Study, curves: Sequence[Curve], weights: dict[str, float]
 ) -> FittedCurve | None:
-    """Return the fitted weighted mean of the curves' first metric; None if a condition of weight
-    above 0 has no curve among them.
+    """Return the fitted weighted mean of the curves' first metric.
 
-    Also None with fewer than 5 sizes that all conditions share.
+    Returns None if a condition of weight above 0 has no curve among them, and with fewer than 5
+    sizes that all conditions share.
     """
     needed = {condition.name for condition in study.condition if condition.weight}
     if not needed <= {curve.condition for curve in curves}:

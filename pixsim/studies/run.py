@@ -575,14 +575,10 @@ class RunResult(RenderedRun, Result):
 
     @property
     def colour(self) -> dict[str, Any] | None:
-        """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a
-        monochrome one.
-        """
-        return (
-            None
-            if self.chain.rendition is None
-            else self.chain.development.colour_facts(self.score.frame.integration_s)
-        )
+        """Channels, matrix and noise gains of a colour sensor, as in score.json, or None."""
+        if self.chain.rendition is None:
+            return None
+        return self.chain.development.colour_facts(self.score.frame.integration_s)
 
     @property
     def notes(self) -> list[Note]:

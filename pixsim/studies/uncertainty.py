@@ -121,8 +121,7 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
 
 
 def saltelli(sobol: Array) -> Array:
-    """Return the points (n(k + 2), k) of Saltelli's design from those of a Sobol' sequence, (n,
-    2k).
+    """Return the points (n(k + 2), k) of Saltelli's design from Sobol' points (n, 2k).
 
     First A, then B, then for each column A with this column of B.
     """
@@ -423,8 +422,8 @@ def unknowns_of_process(
 
 
 def _replaced_by_pixel(pixel: PixelOptions) -> set[str]:
-    """Return the numbers of a technology that a pixel replaces by fields of other names: those of
-    its stack, and its read noise.
+    """Return the numbers of a technology that a pixel replaces by fields of other names: of its
+    stack, and its read noise.
     """
     replaced = set() if pixel.read_noise_e is None else {"read_noise_after_gain_e"}
     if pixel.stack is None:
