@@ -176,9 +176,8 @@ class ImagingChain:
 
         sensor_of : returns the sensor of a key, which may be known. None draws it
         """
-        frame_rng = stream(
-            *key, "frame"
-        )  # before the sensor is drawn: later it would take three times as long
+        # Before the sensor is drawn: later it would take three times as long.
+        frame_rng = stream(*key, "frame")
         return self.capture_by(
             (sensor_of or self.sensor)(*key), frame_rng, partial(stream, *key, "correction")
         )

@@ -64,9 +64,8 @@ class _UserDenoiser:
         return _UserDenoiser, (by_value(self.function), self.text)
 
 
-_functions: dict[
-    str, _UserDenoiser
-] = {}  # that this process was given, by their texts, as which settings are handed on
+# Denoisers of this process by their texts, as which settings are handed on.
+_functions: dict[str, _UserDenoiser] = {}
 
 
 def _user_denoiser(function: Callable[[Any, float], Any]) -> _UserDenoiser:

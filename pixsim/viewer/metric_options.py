@@ -133,10 +133,8 @@ class MetricOptions(Record):
 
 METRIC_OPTIONS = MetricOptions()
 
-_TARGET_METRICS = (
-    "detectability",
-    "npwe",
-)  # metrics that ask for the light of the scene without its target
+# Metrics that ask for the light of the scene without its target.
+_TARGET_METRICS = ("detectability", "npwe")
 
 
 def has_target(metrics: Sequence[str]) -> bool:

@@ -269,10 +269,8 @@ DELTA_E = Metric(
         " 360-830 nm"
     ),
     columns=COLUMNS,
-    bounds=(
-        0.0,
-        1e3,
-    ),  # of any two colours: black and white differ by 100, the most saturated ones by 260
+    # Of any two colours: black and white differ by 100, the most saturated ones by 260.
+    bounds=(0.0, 1e3),
     compute=_delta_e,
     needs_frame=False,
 )

@@ -63,9 +63,8 @@ SHADING, MOTION, VEIL, LENS, NEIGHBOURS = "shading", "motion", "veiling glare", 
 SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
 NOISE, BLUR = "noise", "blur"
 _MORE_BITS = 8  # of an ADC that rounds 256 times finer
-Steps = Iterator[
-    tuple[str, float]
-]  # each cause with the mean ΔE that is left without it and those before it
+# Each cause with the mean ΔE that is left without it and those before it.
+Steps = Iterator[tuple[str, float]]
 
 
 @dataclass(frozen=True)

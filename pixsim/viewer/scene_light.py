@@ -133,9 +133,8 @@ class LightFacts:
         """Radially averaged power spectrum of the picture over its squared mean: cycles/mm, and
         mm².
         """
-        mean = (
-            float(self.picture.mean(dtype=float)) or 1.0
-        )  # of a black picture, which has no power
+        # A black picture has no power: any mean will do.
+        mean = float(self.picture.mean(dtype=float)) or 1.0
         frequency, power = radial_spectrum(self.picture / mean, self.mean.pitch_um)
         return frequency, power
 
@@ -224,9 +223,8 @@ class PreparedScene:
             light.running_integral  # noqa: B018 – it stays in the light
 
 
-SharedLight = (
-    PreparedScene | SceneLight
-)  # what the pitches of a technology share; where dots are pixels, that is not prepared
+# What the pitches of a technology share; where dots are pixels, that is not prepared.
+SharedLight = PreparedScene | SceneLight
 
 
 def registered_in(imaging: Imaging, light: SharedLight, repeat: int) -> Imaging:

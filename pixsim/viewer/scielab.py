@@ -116,10 +116,8 @@ ZHANG1996_GAUSSIANS = (
     ((0.567885, 0.092), (0.432115, 0.6451)),
 )
 _ZHANG1996_BUILD_SAMPLES_PER_DEG = 224  # [1996] builds its kernels at this density or more
-_ZHANG1996_SAMPLES_PER_DEG = (
-    1e-6,
-    1e6,
-)  # its kernels are a degree long: outside this range they are one sample, or fill the memory
+# Kernels of [1996] are a degree long: outside this range they are one sample, or fill the memory.
+_ZHANG1996_SAMPLES_PER_DEG = (1e-6, 1e6)
 
 
 @dataclass(frozen=True)
@@ -202,9 +200,8 @@ def _published_terms(
     frequency_cy_per_deg = np.arange(samples) / (2 * samples) * samples_per_deg
     gaussians = _PUBLISHED_GAUSSIANS[channel]
     gain = sum(weight for weight, _ in gaussians)
-    with np.errstate(
-        over="ignore"
-    ):  # exp(-infinity) = 0: from so far away only the mean is visible
+    # exp(-infinity) = 0: from so far away only the mean is visible.
+    with np.errstate(over="ignore"):
         return [
             (weight / gain, np.exp(-((np.pi * s_deg * frequency_cy_per_deg) ** 2)))
             for weight, s_deg in gaussians

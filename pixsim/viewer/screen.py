@@ -139,9 +139,8 @@ def display_image(light: Array, display: Display, *, in_place: bool = False) -> 
 
     in_place : overwrite the light
     """
-    codes = displays.shown_luminance(
-        light, display, in_place=in_place
-    )  # each primary has the codes of a luminance
+    # Each primary has the codes of a luminance.
+    codes = displays.shown_luminance(light, display, in_place=in_place)
     return codes if codes.ndim == 2 else np.moveaxis(codes, 0, -1)
 
 

@@ -38,10 +38,8 @@ def unsharp_mask(picture: Picture, amount: NotNegative, sigma_px: Positive) -> A
     """
     taps = gaussian_taps(sigma_px)
     blurred = picture
-    for axis in (
-        0,
-        1,
-    ):  # about the centres of the outermost pixels, as demosaicing continues a picture
+    # About the centres of the outermost pixels, as demosaicing continues a picture.
+    for axis in (0, 1):
         blurred = scipy.ndimage.correlate1d(blurred, taps, axis=axis, mode="mirror")
     return np.asarray(
         picture * picture.dtype.type(1 + amount) - blurred * picture.dtype.type(amount)

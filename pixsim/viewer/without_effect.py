@@ -732,9 +732,8 @@ ROWS = (
     Row(
         ("display.diffuser_reflectance",), lambda case, _: case.imaging.display.white == "diffuser"
     ),
-    Row(
-        tuple(f"display.{name}" for name in _NO_WHITE), lambda case, _: True
-    ),  # it has a white of its own
+    # It has a white of its own.
+    Row(tuple(f"display.{name}" for name in _NO_WHITE), lambda case, _: True),
     Row(("display.dots",), lambda case, _: case.imaging.display.raster == "fixed_size"),
     Row(("correction.defects",), lambda case, _: True),
 )

@@ -24,17 +24,14 @@ from pixsim.base.bounds import FINITE, Axes, NotNegative
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.viewer.denoising import anscombe
 
-Denoiser = Callable[
-    [Array, float], Array
-]  # of a plane whose noise has variance 1, and of how strong that is to be taken
+# A function of a plane whose noise has variance 1, and of the strength.
+Denoiser = Callable[[Array, float], Array]
 Named = Literal["nlm", "wavelet"]
 PACKAGES = ("skimage", "pywt")
 NLM_PATCH, NLM_DISTANCE = 5, 6  # side of a patch, and how far its likes are looked for, in pixels
 _NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
-WAVELET, WAVELET_LEVELS = (
-    "db2",
-    4,
-)  # whatever the size of the plane, from 48 pixels on: scikit-image's default grows with it
+# The same for planes of any size from 48 pixels on: scikit-image's default grows with it.
+WAVELET, WAVELET_LEVELS = ("db2", 4)
 MIN_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 

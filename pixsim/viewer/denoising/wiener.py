@@ -67,9 +67,8 @@ def _at_doubled(cosines: Array, axis: int) -> Array:
     along = np.moveaxis(cosines, axis, 0)
     count = len(along)
     index = 2 * np.arange(count)
-    sign = np.where(index > count, -1.0, 1.0) * (
-        index != count
-    )  # cos π(2y + 1) k/n is odd about k = n/2
+    # cos π(2y + 1) k/n is odd about k = n/2.
+    sign = np.where(index > count, -1.0, 1.0) * (index != count)
     folded = along[np.where(index > count, 2 * count - index, np.minimum(index, count - 1))]
     result = folded * sign[:, None]
     result += along[0]

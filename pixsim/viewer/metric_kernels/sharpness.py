@@ -93,9 +93,8 @@ def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
     """
     frequency, mtf = curve_from_0("frequency_cy_per_deg", frequency_cy_per_deg, mtf)
     shape = CSF_POWER + 1
-    share = np.diff(
-        gammainc(shape, CSF_DECAY * frequency)
-    )  # of the CSF in each interval, and its first moment
+    # Of the CSF in each interval, and its first moment.
+    share = np.diff(gammainc(shape, CSF_DECAY * frequency))
     moment = np.diff(gammainc(shape + 1, CSF_DECAY * frequency)) * shape / CSF_DECAY
     slope = np.diff(mtf) / np.diff(frequency)
     return float((mtf[:-1] * share + slope * (moment - frequency[:-1] * share)).sum())
