@@ -129,11 +129,8 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
 
 _CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
-FRAME_S, PIXEL_S, DOT_S = (
-    6e-4,
-    2e-7,
-    1.6e-7,
-)  # of a frame, its pixels and its dots, on one core of an ordinary machine
+# Time of a frame, of each pixel and of each dot, on one core of an ordinary machine.
+FRAME_S, PIXEL_S, DOT_S = 6e-4, 2e-7, 1.6e-7
 _DOT_BYTES = 150.0
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
@@ -418,12 +415,12 @@ class Case(Generic[Settings]):
 
     @property
     def header(self) -> dict[str, Any]:
-        """What is known of its light before a render: the header of a picture, or the parameters of
-        a scene.
+        """Facts of its light before a render: the header of a picture, or the parameters of a
+        scene.
         """
-        return (
-            {"parameters": self.scene.parameters} if self.picture is None else self.picture.header
-        )
+        if self.picture is None:
+            return {"parameters": self.scene.parameters}
+        return self.picture.header
 
     @property
     def words(self) -> str:
@@ -452,10 +449,11 @@ def named(part: str) -> Iterator[None]:
 
 
 def warn_of_reviews(cases: Iterable[tuple[str, Case[Any], SceneLight | None]]) -> None:
-    """Warn of what a review says of the sensors of some cases: of their smallest pixels, which
-    exceed a model's limits most.
+    """Warn of the findings of a review of some sensors: of their smallest pixels, which exceed a
+    model's limits most.
 
-    cases : the sensor's name in messages, the case, and its light; None before that is rendered
+    cases : name of the sensor in messages, the case, and its light; None before the light is
+        rendered
     """
     sensors: dict[str, list[tuple[Imaging, SceneLight | None]]] = {}
     for name, case, light in cases:
@@ -468,63 +466,63 @@ def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) 
     """Return the values of axes and the condition of a case as text; without those where the
     study's own settings hold.
     """
+    parts: list[str] = []
     if alone:
+        # With the name of the axis, since 'all low' says nothing by itself.
         value = at[alone]
-        values = [
-            f"{alone}: {value if isinstance(value, str) else f'{value:.4g}'}"
-        ]  # since 'all low' says nothing by itself
+        parts.append(f"{alone}: {value if isinstance(value, str) else f'{value:.4g}'}")
     else:
-        values = [
-            f"{name} {value:.4g}" if not isinstance(value, str) else value
-            for name, value in at.items()
-        ]
-    return ", ".join(
-        [*(value for value in values if value != BASE), *([condition] if condition else [])]
-    )
+        for name, value in at.items():
+            parts.append(value if isinstance(value, str) else f"{name} {value:.4g}")
+    words = [part for part in parts if part != BASE]
+    if condition:
+        words.append(condition)
+    return ", ".join(words)
 
 
 def _number_of_cases(study: Study) -> int:
     """Return how many cases the axes and conditions of a study make; 1 without any."""
     together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
-    return (together + sum(len(axis.points) for axis in study.axis if axis.alone)) * max(
-        1, len(study.condition)
-    )
+    alone = sum(len(axis.points) for axis in study.axis if axis.alone)
+    return (together + alone) * max(1, len(study.condition))
 
 
 def cases_of(study: Study) -> tuple[Case[Study], ...]:
     """Return the combinations of a study, each under every condition: axes with each other, then
-    those that are moved alone.
+    the axes that vary alone.
 
     Raises PixsimError for a setting that does not exist or is out of bounds, naming the value of
     the axis.
     """
     if not study.has_cases:
         return (Case(study, group=0),)
-    if (number := _number_of_cases(study)) > MAX_CASES:
+    number = _number_of_cases(study)
+    if number > MAX_CASES:
         raise invalid(
             "axis",
             f"{number} cases, all values of all axes",
             f"at most {MAX_CASES}",
             "Give fewer values.",
         )
-    base = study.stated
+
+    stated = study.stated
     cases: list[Case[Study]] = []
-    for chosen, alone in combinations(study.axis):
-        table = base
-        for point in chosen.values():
+    for points, alone in combinations(study.axis):
+        table = stated
+        for point in points.values():
             table = _with_settings(table, point.table)
-        at = values_at(study.axis, chosen)
-        where = [f"axis {name}, value {point.label}" for name, point in chosen.items()]
+        at = values_at(study.axis, points)
+        where = [f"axis {name}, value {point.label}" for name, point in points.items()]
         if not study.condition:
-            cases.append(
-                Case(_study(table, where), at, "", alone, labels=dict(at), group=len(cases))
-            )
+            settings = _study(table, where)
+            cases.append(Case(settings, at, "", alone, labels=dict(at), group=len(cases)))
         for condition in study.condition:
             settings = _study(
                 _with_settings(table, condition.set), [*where, f"condition {condition.name}"]
             )
             labels = at | {"condition": condition.name}
             cases.append(Case(settings, at, condition.name, alone, labels=labels, group=len(cases)))
+
     try:
         check_case_folders([case.words or BASE for case in cases])
     except ValueError as error:
@@ -600,10 +598,9 @@ def values_at(
 
 
 def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], str]]:
-    """Yield the values of a combination by axis, and the axis that is moved alone, if any.
+    """Yield the values of a combination by axis, and the axis that varies alone, if there is one.
 
-    If an axis is moved alone, the study's own settings come first, unless other axes are moved
-    together.
+    If an axis varies alone, the study's own settings come first, unless other axes vary together.
     """
     together = [axis for axis in axes if not axis.alone]
     alone = [axis for axis in axes if axis.alone]
@@ -617,16 +614,16 @@ def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], s
 
 
 def _with_settings(table: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
-    """Return a study's tables with settings in place of theirs; those of [pixel] hold for its data
-    sheets too.
+    """Return a study's tables with some settings replaced; those of [pixel] hold for its data
+    sheets, too.
     """
     merged = merge(table, settings)
-    if isinstance(pixel := settings.get("pixel"), dict) and "sensors" in merged:
-        sheets = {
+    pixel = settings.get("pixel")
+    if isinstance(pixel, dict) and "sensors" in merged:
+        merged["sensors"] = {
             name: merge({"pixel": sheet}, {"pixel": pixel})["pixel"]
             for name, sheet in merged["sensors"].items()
         }
-        merged["sensors"] = sheets
     return merged
 
 
@@ -669,50 +666,40 @@ MAX_REPEATS = 10_000  # of a pitch
 # whose frames are shown on further displays, too: enough to see whether an answer depends on the
 # display
 CHECKED_REPEATS = 2
-COMPUTED_BY = (
-    "mitsuba",
-    "drjit",
-    "colour-science",
-)  # their versions are in each key, with pixsim's sources
+# Packages whose versions are in each key, with pixsim's sources.
+COMPUTED_BY = "mitsuba", "drjit", "colour-science"
 
-# The settings that each stage depends on beside those of the stage before it. The sensors decide on
-# the noise and the film of a render, and so does a part of the display.
-OF_LIGHT = (
-    *(
-        "scene",
-        "camera",
-        "lens",
-        "seed",
-        "tolerance_e",
-        "render_noise",
-        "resolution",
-        "max_seconds",
-        "window_mm",
-    ),
-    *(
-        "tolerance_delta_e",
-        "pitch",
-        "exposure",
-        "motion",
-        "correction",
-        "develop",
-        "pixel",
-        "sensors",
-        "process",
-        "technologies",
-        "display",
-    ),
-)
-OF_FRAME = (
+# Settings that a light depends on. The sensors decide on the noise and the film of a render, and so
+# does a part of the display.
+LIGHT_SETTINGS = (
+    "scene",
+    "camera",
+    "lens",
+    "seed",
+    "tolerance_e",
+    "render_noise",
+    "resolution",
+    "max_seconds",
+    "window_mm",
+    "tolerance_delta_e",
+    "pitch",
     "exposure",
     "motion",
     "correction",
-)  # beside the light, the pixel and the random streams
+    "develop",
+    "pixel",
+    "sensors",
+    "process",
+    "technologies",
+    "display",
+)
+# Settings that a frame depends on, beside its light, pixel and random streams.
+FRAME_SETTINGS = "exposure", "motion", "correction"
 
 
 def light_hash(study: Study) -> str:
     """Return the hash of everything that a render depends on."""
-    settings = [study.model_dump(mode="json", include=set(OF_LIGHT))]
+    settings = [study.model_dump(mode="json", include=set(LIGHT_SETTINGS))]
     if has_target(study.metrics):
         settings.append(study.metric.detectability.model_dump(mode="json", include={"without"}))
     return content_hash(settings)
@@ -721,14 +708,18 @@ def light_hash(study: Study) -> str:
 def frames_fit_in_cache(study: Study, camera: Camera) -> bool:
     """Return whether all frames of a study fit in the cache without displacing most of it."""
     bits = max(study.options_of(technology).bits for technology in study.technologies)
-    code_bytes = np.min_scalar_type(study.exposure.frames * (2**bits - 1)).itemsize + (
-        4 if study.correction.is_on else 0
-    )
-    sensors_per_pitch = (
-        study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
-    )
-    pitches = [pitch_um for sensors in first_sampling(study).values() for pitch_um in sensors]
-    pixels = sum(math.prod(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches)
+    max_dn = study.exposure.frames * (2**bits - 1)
+    code_bytes = np.min_scalar_type(max_dn).itemsize
+    if study.correction.is_on:
+        code_bytes += 4
+
+    sensors_per_pitch = study.repeats
+    if study.target_ci_um is not None:
+        sensors_per_pitch = max(study.repeats, study.max_repeats)
+    pixels = 0
+    for sizes in first_sampling(study).values():
+        for pitch_um in sizes:
+            pixels += math.prod(pixels_on(camera.die_um, pitch_um))
     return cache.has_room(pixels * code_bytes * sensors_per_pitch)
 
 

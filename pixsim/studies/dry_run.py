@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pixsim.viewer.setting import Run
 
 
-# On one core of an ordinary machine: the start, the kernel of a light, a sample and a cell of a
-# film, that of one behind a real lens, a page of several sizes, and the figures of a curve.
+# On one core of an ordinary machine: the start, the kernel of a light; a sample of a film, a cell,
+# a cell behind a real lens; a page of several sizes, and the figures of a curve.
 START_S, KERNEL_S = 1.5, 2.0
 SAMPLE_S, CELL_S, LENS_CELL_S = 2e-7, 5e-7, 5e-6
 PAGE_S, CURVE_S = 3.0, 0.6
@@ -41,8 +41,8 @@ _FILM_BYTES_PER_CELL = 120.0
 
 @dataclass(frozen=True)
 class Cost:
-    """What a command makes: lights that it renders, evaluations of sensors; its wall time to a
-    factor of about 3.
+    """Cost of a command: the lights that it renders, its evaluations of sensors, and its wall time
+    to a factor of about 3.
 
     memory_bytes : of all processes
     """
@@ -137,14 +137,13 @@ def _run_cost(
 ) -> Cost:
     """Estimate a run.
 
-    plan : of its render; None of a picture that is read
+    plan : of its render; None for a picture that is read
     shape : (H, W) of the film or the picture
     """
-    render_s, light_bytes = (
-        (0.0, 0.0)
-        if plan is None
-        else (render_seconds(plan, shape, cores), render_bytes(plan, shape))
-    )
+    render_s, light_bytes = 0.0, 0.0
+    if plan is not None:
+        render_s = render_seconds(plan, shape, cores)
+        light_bytes = render_bytes(plan, shape)
     seconds = START_S + render_s + evaluations * frame.seconds
     return Cost(int(plan is not None), evaluations, seconds, light_bytes + frame.memory_bytes, 1)
 
@@ -160,9 +159,9 @@ def study_cost(
 ) -> Cost:
     """Estimate a study with its cases and its report, without further rounds for a target interval.
 
-    lights : that are rendered for them; the memory holds one of them, and some behind the lens
-    plan, shape : of the first one, and (H, W) of its film
-    types : of sensors for each case, beside the study itself
+    lights : number of rendered lights; the memory holds one of them, and several behind the lens
+    plan, shape : of the first light, and (H, W) of its film
+    types : sensor types of each case, beside the study itself
     checked : evaluations of its frames on further displays
     """
     costs: dict[Any, list[FrameCost]] = {}
@@ -178,18 +177,16 @@ def study_cost(
         frames_s += study.repeats * one_sensor_s + type_evaluations * one_sensor_s / len(
             case_frames
         )
-    evaluations, frames_s = evaluations + checked, frames_s * (1 + checked / evaluations)
+    frames_s *= 1 + checked / evaluations
+    evaluations += checked
+
     curves = sum(len(study.technologies) for study, _ in cases)
     renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
     seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, _MOST_CURVES)
 
     cells = math.prod(shape)
-    light = min(
-        4.0
-        * cells
-        * (plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size),
-        MAX_MEMORY_BYTES,
-    )
+    planes = plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size
+    light = min(4.0 * cells * planes, MAX_MEMORY_BYTES)
     behind_lens = _FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
     memory_bytes = max(
@@ -200,30 +197,26 @@ def study_cost(
 
 def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
-    settings, camera, frames, repeats = (
-        prepared.settings,
-        prepared.camera,
-        prepared.frames,
-        prepared.repeats,
-    )
-    pitch_um, picture = settings.pixel.pitch_um, prepared.cases[0].picture
-    planned: dict[str, Any]
-    plan: Plan | None
-    if picture is not None:
-        plan, shape = None, (picture.shape[0], picture.shape[1])
-        planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
-    else:
+    settings, camera = prepared.settings, prepared.camera
+    frames, repeats = prepared.frames, prepared.repeats
+    pitch_um = settings.pixel.pitch_um
+    picture = prepared.cases[0].picture
+    plan: Plan | None = None
+    if picture is None:
         plan, shape = prepared.request.plan, prepared.request.shape
         planned = _planned_light(prepared.request)
+    else:
+        shape = picture.shape[0], picture.shape[1]
+        planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
+
     frame = frame_cost(camera, pitch_um, settings.display)
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
     cost = _run_cost(plan, shape, processors().usable, evaluations, frame)
-    sensors = _planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
-    return (
-        planned
-        | ({"frames": frames} if frames > 1 else {})
-        | {"sensors": [sensors], "estimate": asdict(cost)}
-    )
+    if frames > 1:
+        planned["frames"] = frames
+    planned["sensors"] = [_planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)]
+    planned["estimate"] = asdict(cost)
+    return planned
 
 
 def _planned_sensors(
@@ -250,9 +243,8 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     study, request = job.settings, job.request
     lights = len({light_hash(case.settings) for case in job.combinations})
     cases = [(case.settings, case.camera) for case in job.combinations]
-    drawn = types * sum(
-        metric.has_optimum for metric in metrics_of(study).chosen
-    )  # each metric has pixel sizes of its own
+    # Each metric has pixel sizes of its own.
+    drawn = types * sum(metric.has_optimum for metric in metrics_of(study).chosen)
     checked = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
     cost = study_cost(cases, lights, request.plan, request.shape, jobs, drawn, checked)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}

@@ -30,8 +30,8 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, Sensor, make_frame, with_shared_time
 from pixsim.studies.design import (
     COMPUTED_BY,
+    FRAME_SETTINGS,
     MAX_REPEATS,
-    OF_FRAME,
     REPEATS_PER_TASK,
     Case,
     Sizes,
@@ -139,7 +139,7 @@ class RenderedCase:
         """Hash of the light, camera, exposure, correction and random streams, without pixel and
         display.
         """
-        settings = [getattr(self.imaging, name).model_dump() for name in OF_FRAME]
+        settings = [getattr(self.imaging, name).model_dump() for name in FRAME_SETTINGS]
         # With pixsim's sources and the versions of the packages that compute, so that no row of
         # another formula is reused.
         return content_hash(

@@ -1,4 +1,4 @@
-"""The files of a study: those that it reads, and settings.toml, from which a command makes the same
+"""Files of a study: the files that it reads, and settings.toml, from which a command makes the same
 numbers again.
 """
 
@@ -34,7 +34,7 @@ from pixsim.viewer.metric_registry import metric_names
 from pixsim.viewer.score import Score
 from pixsim.viewer.settings_file import resolve_files, settings_layer, settings_path
 
-# Settings that name files: those whose values can stand in their place, and others.
+# Settings that name files whose values can stand in their place.
 _FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     ("pixel", "quantum_efficiency"): as_quantum_efficiency,
     ("camera", "chief_ray_angle"): as_chief_ray_angles,
@@ -44,14 +44,13 @@ _FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
     **{("pixel", "colour", name): as_curves for name, as_curves in AS_CURVES.items()},
 }
 _WITHOUT_TARGET = ("metric", "detectability", "without")
+# All settings that name files.
 FILES = (
-    *(
-        ("scene", "file"),
-        ("lens", "file"),
-        ("scene", "parameters", "chart"),
-        ("pixel", "technology"),
-        _WITHOUT_TARGET,
-    ),
+    ("scene", "file"),
+    ("lens", "file"),
+    ("scene", "parameters", "chart"),
+    ("pixel", "technology"),
+    _WITHOUT_TARGET,
     *_FILES_OF_VALUES,
 )
 
@@ -59,10 +58,10 @@ FILES = (
 def settings_text(
     record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: object
 ) -> str:
-    """TOML file of all settings of a result, from which a command makes the same numbers again, bit
-    for bit.
+    """Return a TOML file of all settings of a result, from which a command makes the same numbers
+    again, bit for bit.
 
-    command : that makes them, in the file's folder
+    command : makes them, in the file's folder
     uncertainty : of `spreads_of_study`
     changes : tables and fields in place of the record's
 
@@ -103,8 +102,8 @@ def settings_text(
 
 
 def _without_files(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with values in place of the files that hold them, and the whole paths of other
-    files.
+    """Return settings with values in place of the files that hold them, and the whole paths of
+    other files.
     """
     for path in FILES:
         *above, name = path
@@ -112,37 +111,37 @@ def _without_files(settings: dict[str, Any]) -> dict[str, Any]:
         for key in above:
             node = node.get(key) if isinstance(node, dict) else None
         if isinstance(node, dict) and isinstance(node.get(name), str):
-            settings = merge(
-                settings, nested(path, _FILES_OF_VALUES.get(path, whole_path)(node[name]))
-            )
+            value_of = _FILES_OF_VALUES.get(path, whole_path)
+            settings = merge(settings, nested(path, value_of(node[name])))
     return settings
 
 
 def _without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
-    """An axis without files as `_without_files` has it; files that are its plain values remain its
-    labels.
+    """Return an axis without files, as `_without_files` does; files that are its plain values
+    remain its labels.
 
     Names that cannot be labels stay as they are.
     """
-    values, paths = axis.get("values", ()), [setting_path(dotted) for dotted in axis.get("set", ())]
-    if any(path in FILES for path in paths) and all(
-        isinstance(value, str) and is_case_name(value) for value in values
-    ):
-        tables = [
+    values = axis.get("values", ())
+    paths = [setting_path(dotted) for dotted in axis.get("set", ())]
+    can_be_labels = all(isinstance(value, str) and is_case_name(value) for value in values)
+    if can_be_labels and any(path in FILES for path in paths):
+        values = [
             {"label": value, "set": merged(Layer(nested(path, value)) for path in paths)}
             for value in values
         ]
-        axis = {name: value for name, value in axis.items() if name != "set"} | {"values": tables}
+        axis = {name: value for name, value in axis.items() if name != "set"}
+
     resolved_values = [
         value | {"set": _without_files(value["set"])} if isinstance(value, dict) else value
-        for value in axis.get("values", ())
+        for value in values
     ]
     return axis | ({"values": resolved_values} if resolved_values else {})
 
 
 def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a scene for a settings file: numbers as such, and files of the working
-    directory by their whole paths.
+    """Return the parameters of a scene for a settings file: numbers as such, and files of the
+    working directory by their whole paths.
 
     folder : of the scene, in which its own files lie
     """
@@ -174,7 +173,7 @@ def study_files(name: str | os.PathLike[str], quick: bool = False) -> list[Path]
 
 
 def read_study(name: str | os.PathLike[str], quick: bool = False) -> list[Layer]:
-    """Return the table of a packaged study by name, or of a TOML file; the files that it names may
+    """Return the layers of a packaged study by name, or of a TOML file; the files that it names may
     lie next to the study's file.
 
     quick : add a layer of overrides: the file NAME.quick.toml next to the study's, or else
@@ -207,11 +206,10 @@ def config_layers(config: str | os.PathLike[str] | Sequence[str | os.PathLike[st
     layers = []
     for file in listed(config):
         path = settings_path(file)
-        layers.append(
-            Layer(_study_table(path), str(path))
-            if has_study_settings(read_toml(path))
-            else settings_layer(file)
-        )
+        if has_study_settings(read_toml(path)):
+            layers.append(Layer(_study_table(path), str(path)))
+        else:
+            layers.append(settings_layer(file))
     return layers
 
 
@@ -237,25 +235,22 @@ def _study_table(path: Path) -> dict[str, Any]:
     it is no study.
     """
     table = read_toml(path)
-    if (
-        "name" not in table
-        and isinstance(pixel := table.get("pixel"), dict)
-        and "pitch_um" in pixel
-    ):
-        hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
+    pixel = table.get("pixel")
+    if "name" not in table and isinstance(pixel, dict) and "pitch_um" in pixel:
         raise invalid(
             "study",
             f"'{path}', the file of a sensor",
             "the file of a study, which has a name",
-            hint,
+            f"Pass it to a study: pixsim study pixel-size --config {path}",
         )
+
     _resolve_files(table, path)
-    if isinstance(pixel := table.get("pixel"), dict):
+    pixel, sensors = table.get("pixel"), table.get("sensors")
+    if isinstance(pixel, dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
-    if isinstance(sensors := table.get("sensors"), dict):
-        table["sensors"] = sensors | {
-            name: pixel for name, (pixel, _) in _sheets_of(sensors, path).items()
-        }
+    if isinstance(sensors, dict):
+        sheets = {name: sheet for name, (sheet, _) in _sheets_of(sensors, path).items()}
+        table["sensors"] = sensors | sheets
     return table
 
 
@@ -275,48 +270,50 @@ def _sheets_of(
 def uncertainty_of(
     name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = (), quick: bool = False
 ) -> dict[str, dict[str, Spread]]:
-    """Return [pixel.uncertainty] of a study's files and of sensor files, of which later ones take
-    precedence, for `''`.
+    """Return [pixel.uncertainty] of a study's files and of sensor files, by the name ''; and the
+    uncertainty of each data sheet whose numbers stand in the study's files, by its name.
 
-    And that of each data sheet whose numbers stand in the study's files, by its name.
+    Later files take precedence.
     """
     files = [*study_files(name, quick), *map(settings_path, config)]
-    pixel_spreads = {
-        number: spread for path in files for number, spread in sheet_uncertainty(path).items()
-    }
-    tables = [(file, read_toml(file).get("sensors")) for file in files]
-    sheets = {
-        name: sheet
-        for file, sensors in tables
-        if isinstance(sensors, dict)
-        for name, sheet in _sheets_of(sensors, file).items()
-    }
-    return {"": pixel_spreads} | {name: spreads for name, (_, spreads) in sheets.items()}
+    pixel_spreads: dict[str, Spread] = {}
+    for file in files:
+        pixel_spreads |= sheet_uncertainty(file)
+
+    spreads = {"": pixel_spreads}
+    for file in files:
+        sensors = read_toml(file).get("sensors")
+        if isinstance(sensors, dict):
+            for sheet, (_, sheet_spreads) in _sheets_of(sensors, file).items():
+                spreads[sheet] = sheet_spreads
+    return spreads
 
 
 def _resolve_files(table: dict[str, Any], path: Path) -> None:
-    """Replace file names in a study's table by their paths, for files that lie next to the study's
-    file.
-
-    Also in the settings of its axes and conditions.
+    """Replace file names in a study's table, its axes and conditions by their paths, for files that
+    lie next to the study's file.
     """
-    if isinstance(names := table.get("technologies"), list):
-        table["technologies"] = [resolve_file(path, name) for name in names]
-    if isinstance(processes := table.get("process"), dict):
+    technologies, processes = table.get("technologies"), table.get("process")
+    if isinstance(technologies, list):
+        table["technologies"] = [resolve_file(path, name) for name in technologies]
+    if isinstance(processes, dict):
         table["process"] = {
             resolve_file(path, name): numbers for name, numbers in processes.items()
         }
-    values = [
-        value for axis in _tables(table.get("axis")) for value in _resolved_values(axis, path)
-    ]
-    settings = [table.get("set") for table in (*_tables(values), *_tables(table.get("condition")))]
+
+    values: list[Any] = []
+    for axis in _tables(table.get("axis")):
+        values += _resolved_values(axis, path)
+    settings = [part.get("set") for part in (*_tables(values), *_tables(table.get("condition")))]
     for part in (table, *_tables(settings)):
         resolve_files(part, path, FILES)
 
 
 def _tables(value: object) -> list[dict[str, Any]]:
-    """Return the tables of a list; none of anything else, which is refused later."""
-    return [table for table in value if isinstance(table, dict)] if isinstance(value, list) else []
+    """Return the tables of a list; an empty list for anything else, which is refused later."""
+    if not isinstance(value, list):
+        return []
+    return [table for table in value if isinstance(table, dict)]
 
 
 def _resolved_values(axis: dict[str, Any], path: Path) -> list[Any]:
@@ -355,19 +352,17 @@ def load_study(
         2.0}, window_mm=1.0
     """
     options = tables_of_python(settings)
-    scene_settings = {
-        "file": None if scene is None else str(scene),
-        "parameters": dict(parameters) if parameters else None,
-    }
-    options |= (
-        {"scene": {name: value for name, value in scene_settings.items() if value is not None}}
-        if scene or parameters
-        else {}
-    )
-    options |= {"pixel": dict(pixel)} if pixel else {}
-    return checked_study(
-        study_layers(read_study(name, quick), config_layers(config), options), options
-    )
+    scene_settings: dict[str, Any] = {}
+    if scene is not None:
+        scene_settings["file"] = str(scene)
+    if parameters:
+        scene_settings["parameters"] = dict(parameters)
+    if scene or parameters:
+        options["scene"] = scene_settings
+    if pixel:
+        options["pixel"] = dict(pixel)
+    layers = study_layers(read_study(name, quick), config_layers(config), options)
+    return checked_study(layers, options)
 
 
 def tables_of_python(
@@ -399,12 +394,12 @@ def study_of(study: Study | str | os.PathLike[str], quick: bool = False) -> Laye
 def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = None) -> Study:
     """Return a study from its table and overriding options.
 
-    options : among the layers; a warning names those that an axis or the conditions override
+    options : among the layers; a warning names the options that an axis or the conditions override
     """
     study: Study = checked(Study, layers)
-    stated = {
-        name: value for name, value in (options or {}).items() if name not in ("axis", "condition")
-    }
+    stated = dict(options or {})
+    for name in ("axis", "condition"):
+        stated.pop(name, None)
     for path in paths_of(stated):
         if owner := owner_of(study, path):
             warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
@@ -414,16 +409,15 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
 def spreads_of_study(study: Study, uncertainty: Uncertainty) -> dict[str, dict[str, Spread]]:
     """Return how far the numbers of a study's [pixel] and of its data sheets may be wrong.
 
-    uncertainty : as the study's files state it; that of a data sheet which is not in it stands in
-        the sheet's own file
+    uncertainty : as the study's files state it; a data sheet that is not in it states it in its own
+        file
     """
     spreads = {"": dict(uncertainty.get("", {}))}
     for name in study.technologies:
-        if name in study.sensors:
-            file_spreads = (
-                sheet_uncertainty(Path(name))
-                if name not in uncertainty and Path(name).is_file()
-                else {}
-            )
-            spreads[name] = dict(uncertainty.get(name, file_spreads))
+        if name not in study.sensors:
+            continue
+        if name in uncertainty:
+            spreads[name] = dict(uncertainty[name])
+        else:
+            spreads[name] = sheet_uncertainty(Path(name)) if Path(name).is_file() else {}
     return spreads

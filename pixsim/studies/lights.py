@@ -33,7 +33,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.design import (
-    OF_LIGHT,
+    LIGHT_SETTINGS,
     Case,
     imaging_of,
     largest_pixel_um,
@@ -68,7 +68,7 @@ Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
 
 @dataclass(frozen=True)
 class Light:
-    """The irradiance on a sensor, rendered on the film that was chosen for it, or given by the user.
+    """The irradiance on a sensor, rendered on the film chosen for it, or given by the user.
 
     camera : of the render
     film : the error of its film; None for given light
@@ -596,7 +596,7 @@ def _all_but_luminance(case: Case[Study]) -> str:
     study, luminance = case.settings, _luminance(case.settings)
     if not luminance or study.exposure.integration_s is not None or has_target(study.metrics):
         return ""
-    table = study.model_dump(mode="json", include=set(OF_LIGHT))
+    table = study.model_dump(mode="json", include=set(LIGHT_SETTINGS))
     table["scene"]["parameters"].pop(LUMINANCE)
     white = study.display.white_cd_per_m2
     if white is not None:
