@@ -98,7 +98,7 @@ def test_a_process_forked_after_a_render_is_told_at_once() -> None:
     child.start()
     try:
         assert reading.poll(HANG_S)
-        assert "forked after a render; allowed: a process of its own" in (told := reading.recv())
+        assert "forked after a render; allowed: a separate process" in (told := reading.recv())
         assert "get_context('spawn')" in told
     finally:
         child.kill()

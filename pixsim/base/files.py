@@ -639,7 +639,7 @@ def check_picture(path: Path) -> None:
             raise invalid(f"picture '{path}'", reason(error), "a readable picture") from None
     if width * height > MAX_PICTURE:
         raise invalid(
-            f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in all"
+            f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in total"
         )
     check_compression(f"picture '{path}'", 8 * width * height, stored)
 

@@ -142,8 +142,8 @@ def run(
         str,
         Parameter(
             help=(
-                f"{_SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr), as seen"
-                " by the camera."
+                f"{_SCENE_HELP} Or a spectral image from another program (.exr, .npz, .hdr), as"
+                " the camera sees it."
             ),
             completer=common.complete_picture,
         ),
@@ -170,9 +170,9 @@ def run(
         Parameter(
             help=(
                 "Number of sensors of this kind, each with its own fixed pattern, noise and"
-                " registration with the picture. The answer is their mean ΔE with its 95 %"
+                " position of its pixel grid on the picture. The result is their mean ΔE with its 95 %"
                 " interval. Pictures and frames are those of the first sensor, which is centred."
-                " With --tolerance-delta-e this is the smallest number."
+                " With --tolerance-delta-e this is the minimum."
             )
         ),
     ] = 1,
@@ -200,7 +200,7 @@ def run(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Render a scene, sense it, and score the picture.
+    """Render a scene, simulate the sensor, and score its picture.
 
     Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
 
@@ -247,7 +247,7 @@ def explore(
     scene: Annotated[
         str,
         Parameter(
-            help=f"{_SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr).",
+            help=f"{_SCENE_HELP} Or a spectral image from another program (.exr, .npz, .hdr).",
             completer=common.complete_picture,
         ),
     ] = "csf",

@@ -52,8 +52,8 @@ app = App(
     default_parameter=Parameter(negative=()),
     help_epilogue=(
         "Every command takes --quiet (no progress, and only warnings about doubtful numbers),"
-        " --verbose (times of the stages, tracebacks of errors) and --json (results as JSON). Its"
-        " --help shows the common options, its --help-all every option."
+        " --verbose (stage times and tracebacks of errors) and --json (results as JSON). --help"
+        " shows its common options, --help-all every option."
     ),
     suppress_keyboard_interrupt=False,  # main() reports it
 )
@@ -330,7 +330,7 @@ DryRun = Annotated[
 ]
 FigureFiles = Annotated[
     Literal["svg", "pdf"],
-    Parameter(help="Files of the figures: svg, or pdf, which writes a PDF beside each SVG."),
+    Parameter(help="Format of the figures: svg, or pdf for a PDF next to each SVG."),
 ]
 Out = Annotated[Path | None, Parameter(help="Output folder [default: pixsim-out/NAME].")]
 Variant = Annotated[
@@ -522,8 +522,8 @@ class StudyOptions:
         bool,
         Parameter(
             help=(
-                "Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8"
-                " and 4."
+                "Fewer pitches and sensors, as in NAME.quick.toml next to the study's file, or"
+                " at most 8 and 4."
             )
         ),
     ] = False
@@ -544,9 +544,9 @@ class StudyOptions:
         Parameter(
             help=(
                 "Vary a setting as well as the pixel size: NAME=v1,v2,… or"
-                " NAME=from:to:count[:log]. NAME is an axis of the study or a dotted setting, as"
-                " camera.f_number; settings joined by + change together. Labelled values are"
-                " chosen by their labels. Repeatable."
+                " NAME=from:to:count[:log]. NAME is an axis of the study or a dotted setting,"
+                " such as camera.f_number; settings joined by + change together. Choose labelled"
+                " values by their labels. Repeatable."
             ),
             metavar="NAME=VALUES",
         ),

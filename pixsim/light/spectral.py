@@ -188,7 +188,11 @@ class SpectralImage:
         if np.shape(band_width_nm) not in ((), (1,), self.wavelength_nm.shape):
             got = f"an array of shape {np.shape(band_width_nm)}"
             bands = self.wavelength_nm.size
-            raise invalid("band_width_nm", got, f"a number, or ({bands},) as the wavelengths")
+            raise invalid(
+                "band_width_nm",
+                got,
+                f"a number, or an array of shape ({bands},), one per wavelength",
+            )
 
         self.band_width_nm = np.broadcast_to(
             np.asarray(band_width_nm, float), self.wavelength_nm.shape

@@ -410,7 +410,7 @@ def _measured_channels(
             raise invalid(
                 setting("layout"),
                 f"{layout} for a picture of shape {whole.shape}",
-                f"rows that {mosaic.planes} planes divide",
+                f"a number of rows divisible by {mosaic.planes} planes",
             )
 
         planes = dict(zip(mosaic.channels, np.split(whole, mosaic.planes), strict=True))
@@ -491,7 +491,7 @@ def _named_channels(layout: Layout, channel: str | None) -> list[tuple[str, floa
     if has_luminance:
         names.append(LUMINANCE)
     if not layout.is_stacked:
-        names.append("a place as 0,1 (row,column)")
+        names.append("a position such as 0,1 (row,column)")
     if channel is not None:
         raise invalid(setting("channel"), f"'{channel}' of the layout {layout}", ", ".join(names))
     dominant = layout.channels[int(np.argmax(layout.shares))]
@@ -848,7 +848,7 @@ def _check_kinks(
     raise invalid(
         "edge picture",
         got,
-        "a slope that fades out on both sides: this is clipped, which sharpens the edge",
+        "an edge that is clipped on neither side, since clipping sharpens it",
         hint,
     )
 

@@ -84,7 +84,9 @@ def _check_bands(wavelength_nm: Array, weight: Array) -> None:
     """Raise PixsimError if there is not one weight for each wavelength."""
     if weight.shape != wavelength_nm.shape:
         raise invalid(
-            "wavelength_nm and weight", f"{wavelength_nm.size} and {weight.size}", "as many of each"
+            "wavelength_nm and weight",
+            f"{wavelength_nm.size} and {weight.size} values",
+            "arrays of equal length",
         )
 
 

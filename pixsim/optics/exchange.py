@@ -361,7 +361,7 @@ def _agreed_unit(
     if is_other_kind or (file_unit.spectral and file_unit != unit):
         raise invalid(
             name,
-            f"{file_units} in the file, {stated} given",
+            f"{file_units} in the file, but {stated} stated",
             "the same unit",
             "Leave units (--units) out.",
         )

@@ -379,7 +379,7 @@ def find_glass(
         )
 
     if len(names) > 1:
-        raise invalid(where, f"{named(name)}, which several makers have", ", ".join(names))
+        raise invalid(where, f"{named(name)}, which several makers offer", ", ".join(names))
     if not names:
         got = f"the unknown glass {named(name)}"
         raise invalid(where, got, f"the {len(glasses)} glasses of pixsim's table", hint)

@@ -299,7 +299,7 @@ def _entrance_pupil_diameter_mm(bare: Lens, focal_mm: float, object_mm: float) -
             raise invalid(
                 bare._label,
                 f"a numerical aperture of {aperture:g}, with the object at {object_mm:g} mm",
-                "below 1, of an object at a finite distance",
+                "below 1, for an object at a finite distance",
             )
         return 2 * object_mm * math.tan(math.asin(aperture))
 

@@ -67,7 +67,7 @@ class PrescriptionOptions(Record):
     file: str | None = Field(
         None,
         description=(
-            "prescription: a .toml or .zmx file, or the name of a packaged lens, as phone (absent:"
+            "prescription: a .toml or .zmx file, or the name of a packaged lens (absent:"
             " an ideal thin lens)"
         ),
     )
@@ -119,7 +119,7 @@ class PrescriptionOptions(Record):
     glass_catalogues: Annotated[tuple[str, ...], BeforeValidator(as_file_names)] = Field(
         (),
         description=(
-            "glass catalogues of yours as Zemax has them, as my.agf; they go before pixsim's table"
+            "your own Zemax glass catalogues, such as my.agf; they precede pixsim's table"
         ),
     )
     unknown_glass: Literal["error", "model"] = Field(

@@ -422,7 +422,7 @@ class _GlassTable(Record):
         if len(complete) != 1 or stated != complete:
             raise invalid(
                 f"{where}: glass {quoted(name)}",
-                " and ".join(stated) or "neither",
+                " and ".join(stated) or "none of them",
                 f"exactly one of: {'; '.join(descriptions)}",
             )
 
@@ -448,7 +448,7 @@ class _GlassTable(Record):
                 f"{where}: coefficients of glass {quoted(name)}",
                 got,
                 "c1, then pairs",
-                "A glass of one index is n = 1.5.",
+                "Write n = 1.5 for a glass of constant index.",
             )
 
         return Glass(name, self.formula, numbers, (low, high), one_line(self.source, 200))
@@ -640,7 +640,11 @@ def _read_toml(
         primary_nm=to_nm * file.wavelengths.primary,
         object_distance_mm=file.object_distance_mm,
         notes=tuple(
-            Note("not_used", setting=f"lens.{name}", reason="it is of lens files that are not TOML")
+            Note(
+                "not_used",
+                setting=f"lens.{name}",
+                reason="it applies only to lens files that are not TOML",
+            )
             for name in unused
         ),
     )
@@ -766,7 +770,7 @@ _UNITS_MM = {
 }
 # Of the powers of r of an asphere's terms.
 STEP = {"STANDARD": 0, "EVENASPH": 2, "ODDASPHE": 1, "XASPHERE": 2, "XOSPHERE": 1}
-# Types with terms in XDAT: their number, the radius that r is taken over, and the terms.
+# Types with terms in XDAT: their number, the normalisation radius, and the terms.
 _EXTENDED = ("XASPHERE", "XOSPHERE")
 _NULL = "COORDBRK"  # a coordinate break, which changes nothing if its numbers are 0
 _GRADIENTS = ("GRIN", "GRADIUM", "GRADIENT")
@@ -1223,7 +1227,7 @@ def _zmx_object(path: Path, head: _Block, block: _Block) -> float:
             glass_where,
             got,
             "an object in air",
-            "Delete the line to have the lens in air, which is another lens.",
+            "Delete the line to put the lens in air; this is a different lens.",
         )
 
     curved = (line := block.first("CURV")) is not None and _zmx_number(where, line)
@@ -1420,9 +1424,7 @@ def _zmx_surface(block: _Block, where: str, glass: Glass, notes: list[str]) -> S
         count = int(extra.get(1, 0.0))
         radius = extra.get(2, 0.0)
         if not radius > 0:
-            raise invalid(
-                f"{where}: XDAT 2, the radius that r is taken over", f"{radius:g}", "above 0"
-            )
+            raise invalid(f"{where}: XDAT 2, the normalisation radius", f"{radius:g}", "above 0")
 
         terms = {number - 2: value for number, value in extra.items() if number > 2 and value}
         if beyond := [number for number in terms if number > count]:

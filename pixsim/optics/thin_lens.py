@@ -144,11 +144,7 @@ def thin_lens_pupil(
         np.asarray(tan_field, float), np.radians(np.asarray(azimuth_deg, float))
     )
     if not (np.all(np.isfinite(tangent)) and np.all(np.isfinite(azimuth))):
-        raise invalid(
-            "tan_field and azimuth_deg",
-            "infinity or NaN",
-            "finite numbers: a pupil at the horizon sends no light",
-        )
+        raise invalid("tan_field and azimuth_deg", "infinity or NaN", "finite numbers")
 
     outward = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
     sideways = np.stack([-np.sin(azimuth), np.cos(azimuth)], -1)

@@ -180,8 +180,8 @@ def write_colour_chart(
         raise invalid(
             "colour chart",
             f"'{path}'",
-            "a scene, a name that ends in .xml",
-            "Its slides are written beside it.",
+            "a scene file, whose name ends in .xml",
+            "pixsim writes its slides next to it.",
         )
     if "$" in path.name:
         allowed = "a name without $, which begins a parameter of a scene"

@@ -56,10 +56,9 @@ def strength(
     if not same_lamps or max(ratios) - min(ratios) > _BALANCE * max(ratios):
         raise invalid(
             ILLUMINANCE,
-            f"{got}, with another balance of the lamps",
-            "the balance of the lamps in the scene's file, at whose place alone the illuminance is"
-            " known",
-            "Set the lamps' own parameters alone.",
+            f"{got}, with a different balance of the lamps",
+            "the balance in the scene's file, the only one for which the illuminance is known",
+            "Set only the lamps' own parameters.",
         )
     return lux / stated_lux / max(ratios)
 

@@ -57,8 +57,8 @@ def import_mitsuba(variant: str) -> ModuleType:
         hint = "Start it with multiprocessing.get_context('spawn')."
         raise invalid(
             "process",
-            "one that was forked after a render",
-            "a process of its own for Mitsuba",
+            "a process that was forked after a render",
+            "a separate process for Mitsuba",
             hint,
         )
     _process = os.getpid()

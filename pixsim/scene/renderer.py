@@ -283,8 +283,8 @@ def render(
     if diffuser:
         scene = replace(scene, diffuser=True)
         if plan is not None and plan.light.plate is None and not plan.light.chart_white:
-            got = "a plan that was made without it"
-            raise invalid("diffuser", got, "no plan", "Leave `plan` out, or `diffuser`.")
+            got = "a plan that was made without the diffuser"
+            raise invalid("diffuser", got, "no plan", "Leave out `plan` or `diffuser`.")
     renderer = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
     return renderer.image(*renderer.run(0, progress))
 

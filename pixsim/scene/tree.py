@@ -236,7 +236,12 @@ def _check_unit(what: str, wavelengths_nm: Sequence[float]) -> None:
     low_nm, high_nm = wavelengths_nm[0], wavelengths_nm[-1]
     if (high_nm < LOW_NM or low_nm > HIGH_NM) and (hint := unit_hint(wavelengths_nm, _LIKELY_NM)):
         got = f"wavelengths from {low_nm:g} to {high_nm:g} nm"
-        raise invalid(what, got, f"nm, of which {LOW_NM:g} to {HIGH_NM:g} are computed", f"{hint}.")
+        raise invalid(
+            what,
+            got,
+            f"wavelengths in nm; pixsim computes {LOW_NM:g} to {HIGH_NM:g} nm",
+            f"{hint}.",
+        )
 
 
 def _property(props: mitsuba.Properties, name: str) -> Property:

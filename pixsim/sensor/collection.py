@@ -217,7 +217,7 @@ def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
     Raises PixsimError without a stack.
     """
     if physics.stack is None:
-        raise invalid("pixel.stack", "none", "a stack, which has such shares")
+        raise invalid("pixel.stack", "none", "a pixel with a stack")
     check_efficiency(physics)
     central = _collection(physics.stack, physics.charge, measurement(physics), light, (0.0, 0.0))
     return np.asarray(central.shares[0, 0])

@@ -38,7 +38,7 @@ class Exposure(Record):
         0.0,
         description=(
             "amplification before the ADC; at 0 dB the codes above the black level span the full"
-            " well, unless pixel gives gain_e_per_dn, dn_per_e or adc_full_scale_e"
+            " well, unless [pixel] states gain_e_per_dn, dn_per_e or adc_full_scale_e"
         ),
     )
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = Field(

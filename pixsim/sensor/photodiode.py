@@ -65,7 +65,7 @@ def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
     if physics.diode is None:
         raise invalid(
             "photodiode",
-            f"the pinned one of {physics.technology.name}",
+            f"the pinned photodiode of {physics.technology.name}",
             "the photodiode of a 3T pixel",
         )
     return physics.diode

@@ -242,8 +242,8 @@ class PixelOptions(Record):
     ] = Field(
         None,
         description=(
-            "full well: charge that the pixel holds, at the highest ADC code unless gain_e_per_dn"
-            " is given"
+            "full well: charge that the pixel holds; it gives the highest ADC code, unless"
+            " gain_e_per_dn is given"
         ),
     )
     saturation_capacity_e: Annotated[
@@ -534,8 +534,7 @@ class Pixel(PixelOptions):
         "0.35um",
         description=(
             "packaged technology, path of a TOML file, or 'none' (in Python also None) for a sensor"
-            " described by its data sheet only, which a complete data sheet is if no technology is"
-            " given"
+            " described by its data sheet alone; with a complete data sheet, 'none' is the default"
         ),
     )
     pitch_um: Annotated[

@@ -466,7 +466,7 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
             raise invalid(f"{name} '{path}'", got, "real or whole numbers, (rows, columns)")
         if values.size > MAX_PICTURE:
             got = f"{' × '.join(map(str, values.shape))} samples"
-            raise invalid(f"{name} '{path}'", got, f"up to {MAX_PICTURE} in all")
+            raise invalid(f"{name} '{path}'", got, f"up to {MAX_PICTURE} in total")
 
     def choose(names: list[str]) -> list[str]:
         if "dn" not in names and len(names) != 1:
@@ -561,7 +561,7 @@ def _check_image(image: ImageFile, tags: Mapping[int, Any], subject: str) -> Non
 
     if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
         got = f"3 × {image.width} × {image.height} samples"
-        raise invalid(subject, got, f"up to {MAX_PICTURE} in all")
+        raise invalid(subject, got, f"up to {MAX_PICTURE} in total")
 
     ignored = [tag_name for tag, tag_name in _NOT_APPLIED.items() if tag in tags]
     if ignored:

@@ -123,8 +123,8 @@ def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
         raise invalid("results", got, f"results of pixsim {VERSION}", _MAKE_AGAIN)
     if not (folder / ROWS_FILE).is_file():
         hint = (
-            "A comparison and a study keep theirs in the folder of --out; a run has written one"
-            " since pixsim 2.0."
+            "Comparisons and studies write it to their --out folder, and so do runs since"
+            " pixsim 2.0."
         )
         raise invalid("results", f"'{folder}' without {ROWS_FILE}", allowed, hint)
     data_file = folder / files[0]

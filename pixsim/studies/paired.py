@@ -99,7 +99,7 @@ def paired(
     if not first or first.keys() != second.keys():
         raise invalid(
             "sensors",
-            f"{a} and {b}, whose frames are not the same ones",
+            f"{a} and {b}, which have different sets of frames",
             "sensors with the same labels and repeats",
         )
     return Pairs(

@@ -121,8 +121,8 @@ def _start_of(settings: Run, source: Scene | object) -> float | None:
     if not isinstance(source, Scene):
         raise invalid(
             setting(_SOLVE_FOR),
-            f"'{name}' for light that is given",
-            "a parameter of a scene, which is rendered again",
+            f"'{name}' for a picture of another program",
+            "a parameter of a scene that pixsim renders",
         )
     stated = settings.scene.get(name, source.text().defaults.get(name))
     try:

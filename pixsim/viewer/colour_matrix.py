@@ -353,7 +353,7 @@ def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
             "wavelength_nm",
             got,
             f"steps of at most {_MAX_STEP_NM:g} nm",
-            "Fill the gap, with 0 where it is dark.",
+            "Fill the gap; write 0 where there is no light.",
         )
     if len(sensitivities) != nm.size or sensitivities.shape[1] < 3:
         allowed = f"({nm.size}, channels), three channels or more"

@@ -210,11 +210,11 @@ def check_separable(responses: Array, lamp: str) -> None:
     sizes = np.linalg.svd(responses, compute_uv=False)
     rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
     if rank < 3:
-        hint = "Take a lamp of more wavelengths, or other filters."
+        hint = "Use a lamp with a broader spectrum, or other filters."
         raise invalid(
             f"colour under {lamp}",
             f"channels of rank {rank}",
-            "three that tell colours apart",
+            "three channels with independent responses",
             hint,
         )
 

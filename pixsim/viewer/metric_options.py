@@ -38,7 +38,7 @@ class Detectability(Record):
     without: Annotated[str | dict[str, NumberOrText], BeforeValidator(_as_table)] = Field(
         NO_CONTRAST,
         description=(
-            "the scene without the target: values of the scene's parameters, as contrast=0; or"
+            "the scene without the target: values of the scene's parameters, such as contrast=0; or"
             " another scene, a file or a packaged name; of light that is given in a file, a file of"
             " light"
         ),

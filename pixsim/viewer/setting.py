@@ -82,7 +82,7 @@ class Setting(Effort):
     elsewhere.
     """
 
-    seed: Seed = Field(0, description="seed of the render, of sensors and their noise")
+    seed: Seed = Field(0, description="seed of the render, the sensors and their noise")
     scene: Record | dict[str, NumberOrText] = Field(
         default_factory=dict,
         description="scene; a run has its parameters here, and its file elsewhere",

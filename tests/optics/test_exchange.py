@@ -246,7 +246,10 @@ def test_read_irradiance_missing_units_raises(tmp_path, make):
 def test_read_irradiance_contradicting_units_raises(tmp_path):
     path = npz(tmp_path / "a.npz", units="mW/m2/nm")
     refused(
-        path, "mW/m2/nm in the file, W.m^-2.nm^-1 given", "Leave units (--units) out", units=UNIT
+        path,
+        "mW/m2/nm in the file, but W.m^-2.nm^-1 stated",
+        "Leave units (--units) out",
+        units=UNIT,
     )
     refused(path, "in the file", units="mW/m2/sr/nm", camera=CAMERA)
     same = pixsim.read_irradiance(path, units="W m^-2 um^-1")  # the same, spelled otherwise

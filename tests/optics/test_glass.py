@@ -85,7 +85,7 @@ def test_name_finds_the_catalogue_glass() -> None:
             r"not in the catalogues that the file names \(OLD_SCHO, MINE\)",
         ),
         ("L-TIM28_MOLD", ("OHARA",), "unknown glass 'L-TIM28_MOLD'"),
-        ("F2", (), "which several makers have; allowed: SCHOTT:F2, HIKARI:F2, CDGM:F2"),
+        ("F2", (), "which several makers offer; allowed: SCHOTT:F2, HIKARI:F2, CDGM:F2"),
         (
             "J-LAK14",
             ("SCHOTT",),

@@ -635,7 +635,7 @@ def test_extended_odd_asphere_is_the_odd_one(tmp_path: Path) -> None:
     [
         ("XDAT|XDUT", "XASPHERE without XDAT, which programs read in several ways"),
         ("  XDAT 1 3|  PARM 2 2.5E-06\n  XDAT 1 3", "XASPHERE with terms in both PARM and XDAT"),
-        ("XDAT 2 1 |XDAT 2 0 ", "XDAT 2, the radius that r is taken over: got 0"),
+        ("XDAT 2 1 |XDAT 2 0 ", "XDAT 2, the normalisation radius: got 0"),
         ("XDAT 2 1 |XDAT 2 1e-200 ", "A4 = inf; allowed: finite terms"),
         ("XDAT 2 1 |XDAT 2 1e200 ", None),
     ],

@@ -141,7 +141,7 @@ def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
     assert load(path, lux=50).white_cd_per_m2 == pytest.approx(15, rel=1e-12)
     assert load(path, lux=50, white_cd_per_m2=7).white_cd_per_m2 == 7
     with pytest.raises(
-        PixsimError, match=r"lux: got '50' beside far, with another balance of the lamps"
+        PixsimError, match=r"lux: got '50' beside far, with a different balance of the lamps"
     ):
         load(path, lux=50, far=1)
 
@@ -186,7 +186,7 @@ def test_lux_of_a_scene_that_states_none_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(
         PixsimError,
-        match=r"lux: got an emitter 'point' in line 3 of 'scene\.xml' whose light is no number",
+        match=r"lux: got an emitter 'point' in line 3 of 'scene\.xml' with light of another form",
     ):
         load(path, lux=500)
 

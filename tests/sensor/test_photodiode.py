@@ -287,7 +287,7 @@ def test_well_pinned_photodiode_options_raise(options):
         PixsimError, match=rf"pixel\.{name}: got '{value}' for 4t-bsi; allowed: .*3T technology"
     ):
         derive(Pixel(technology="4t-bsi", pitch_um=2.8, **options))
-    with pytest.raises(PixsimError, match="photodiode: got the pinned one of 4t-bsi"):
+    with pytest.raises(PixsimError, match="photodiode: got the pinned photodiode of 4t-bsi"):
         diode_of(Pixel(technology="4t-bsi", pitch_um=2.8))
 
 

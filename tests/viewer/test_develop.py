@@ -336,7 +336,7 @@ def test_lamp_of_few_wavelengths_is_refused_by_name(lines: list[float], pattern:
         header={"diffraction": False},
     )
     with pytest.raises(
-        PixsimError, match=rf"colour under the scene's lamp.*rank {len(lines)}.*more wavelengths"
+        PixsimError, match=rf"colour under the scene's lamp.*rank {len(lines)}.*a broader spectrum"
     ):
         imaging_chain(
             image,

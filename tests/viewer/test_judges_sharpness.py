@@ -97,7 +97,7 @@ def test_mtf50_of_a_gaussian_and_of_a_curve_that_stays_high():
 
 
 @pytest.mark.parametrize(("frequency", "mtf", "message"), [
-    (np.array([0.0, 2.0, 1.0]), np.ones(3), "got 3 numbers from 0; allowed: rising numbers, and one above 0"),
+    (np.array([0.0, 2.0, 1.0]), np.ones(3), "got 3 numbers from 0; allowed: increasing numbers, at least one of them above 0"),
     (np.array([0.0]), np.ones(1), "got 1 numbers from 0"),
     (np.array([0.0, 1.0]), np.ones(3), "and mtf: got shapes"),
     (np.array([0.0, 1.0]), np.array([1.0, -0.1]), "mtf: got -0.1"),

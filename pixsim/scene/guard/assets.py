@@ -56,7 +56,7 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
         ((nm, next_nm) for nm, next_nm in pairwise(map(float, table.nm)) if not nm < next_nm), None
     ):
         got = f"{fall[0]:g} nm followed by {fall[1]:g} nm"
-        raise invalid(f"spectrum '{path}'", got, "wavelengths that all rise, or all fall")
+        raise invalid(f"spectrum '{path}'", got, "wavelengths in increasing or decreasing order")
     (column,) = table.columns
     power = 0
     if column.unit == A_PER_W:

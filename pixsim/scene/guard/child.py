@@ -213,12 +213,12 @@ def _crashed(code: int | None, on_card: bool) -> PixsimError:
             " the scene."
         )
     hint = (
-        "Remove parts of the scene to find the one, or use less memory: a coarser film, smaller"
+        "Remove parts of the scene to find the cause, or use less memory: a coarser film, smaller"
         " meshes and pictures."
     )
     return invalid(
         "scene",
-        f"one that ends Mitsuba's process{how}",
+        f"a scene that crashes Mitsuba{how}",
         "a scene that Mitsuba can build and render",
         hint,
     )

@@ -298,7 +298,7 @@ class _FileReader:
             raise invalid(
                 f"scene '{self.path}'",
                 f"a <path> in line {line}",
-                "files by their path from the scene's folder",
+                "files by their paths relative to the scene's folder",
                 f"Name the folder of its files: {parameter(ASSETS, 'FOLDER')}.",
             )
         self.open_elements.append((tag, attributes, line, []))

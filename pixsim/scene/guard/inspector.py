@@ -217,12 +217,12 @@ class _Inspector:
             value = spectrum_value(path)
             self.table_characters_left -= len(value)
             if self.table_characters_left < 0:
-                got = f"files of spectra of more than {MAX_TABLES} characters"
+                got = f"spectrum files of more than {MAX_TABLES} characters"
                 raise invalid(
                     "scene",
                     got,
-                    f"up to {MAX_TABLES} in total",
-                    "Leave out wavelengths that change little.",
+                    f"up to {MAX_TABLES} characters in total",
+                    "Leave out wavelengths where the spectra are smooth.",
                 )
             return replace(node, attributes={"name": attributes["name"], "value": value})
 

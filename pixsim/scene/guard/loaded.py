@@ -113,11 +113,7 @@ def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
             what, f"{vertices} vertices, {corners.size // 3} faces", "at least one of each"
         )
     if corners.max() >= vertices:
-        raise invalid(
-            what,
-            f"corner {corners.max()}",
-            f"whole numbers from 0 to {vertices - 1}, of its vertices",
-        )
+        raise invalid(what, f"corner {corners.max()}", f"vertex numbers from 0 to {vertices - 1}")
     if file.plugin == "obj":
         _check_obj(Path(file.path), what)
     for name in sorted(arrays.keys()):

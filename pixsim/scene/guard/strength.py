@@ -60,13 +60,10 @@ def _times(value: str, factor: float) -> str:
 
 
 def _unscaled(emitter: SceneElement) -> PixsimError:
-    got = (
-        f"an emitter '{emitter.attributes['type']}' in {emitter.place} whose light is no number,"
-        " table or d65"
-    )
+    got = f"an emitter '{emitter.attributes['type']}' in {emitter.place} with light of another form"
     return invalid(
         ILLUMINANCE,
         got,
-        "emitters whose light is",
+        "emitters whose light is a number, a table or d65",
         "Give its light a parameter of its own, and set that.",
     )

@@ -222,6 +222,6 @@ def _for_processors(requested: str | None) -> tuple[ChosenVariant, str]:
             "variant",
             f"'{requested}', but {reason}",
             f"LLVM {OLDEST_LLVM} or newer",
-            f"To mend it, {hint}.",
+            f"To fix this, {hint}.",
         )
     return ChosenVariant(SCALAR, None, reason), f"{reason}; {hint}"

@@ -63,7 +63,7 @@ def _axis_weights(frequency: Array) -> Array:
     raise invalid(
         "frequency_cy_per_mm",
         got,
-        "rising frequencies from -Nyquist or 0 to the Nyquist frequency",
+        "increasing frequencies from -Nyquist or 0 to the Nyquist frequency",
         hint,
     )
 

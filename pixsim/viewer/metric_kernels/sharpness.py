@@ -38,7 +38,7 @@ def curve_from_0(name: str, frequency: Array, mtf: Array) -> tuple[Array, Array]
         raise invalid(
             name,
             f"{frequency.size} numbers from {frequency[0]:g}",
-            "rising numbers, and one above 0",
+            "increasing numbers, at least one of them above 0",
         )
     return np.asarray(frequency, float), np.asarray(mtf, float)
 
