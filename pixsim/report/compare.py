@@ -138,7 +138,7 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
     out : folder that would be written
     """
-    group, first = job.pictured_group, job.pictured_group.first
+    group, first = job.shown, job.shown.first
     scene = first.scene.with_resolution(group.film_width)
     height, across = scene.film_shape(first.camera, scene.for_camera(first.camera))
     types = None if job.types is None else job.types.sample
@@ -172,7 +172,7 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
 def comparison_files(job: ComparisonJob) -> set[str]:
     """Return the names of all files of a comparison but the list of them."""
-    figures = [_SCORES, *[NAME] * job.pictured_group.first.settings.noise_budget]
+    figures = [_SCORES, *[NAME] * job.shown.first.settings.noise_budget]
     names = {PAGE, _JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
     for sensor in job.names:
         names |= {f"sensors/{sensor}.toml"} | {
@@ -203,7 +203,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
     first = job.base[0]
     chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set
     display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
-    parameters = scene_table(job.pictured_group.first.scene.path.parent, first.scene)
+    parameters = scene_table(job.shown.first.scene.path.parent, first.scene)
     tables: dict[str, Any] = {name: {} for name in SENSOR_TABLES}
     tables |= {"display": display, "scene": parameters}
     if study:
@@ -234,7 +234,7 @@ def _repeating_command(job: ComparisonJob, files: Sequence[str], has_study: bool
     if has_study:
         words += ["--study", SETTINGS_FILE]
     else:
-        words += ["--scene", whole_path(job.pictured_group.scene), "--config", SETTINGS_FILE]
+        words += ["--scene", whole_path(job.shown.scene), "--config", SETTINGS_FILE]
     if len(job.matches) == 1:
         words += ["--match", job.match]
     words += ["--repeats", str(job.repeats)]
@@ -338,7 +338,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     """Return a row for each sensor: its mean, its pixels, lens and exposure, and numbers of its
     first frame.
     """
-    condition, shared = result.pictured_group.first.condition, shared_stages(result.pictured_group)
+    condition, shared = result.shown.first.condition, shared_stages(result.shown)
     unit = metric.unit and f" ({metric.unit})"
     mean = "mean ΔE" if metric.is_delta_e else f"{metric.words}{unit}"
     numbers = ("mean electrons", "full well", "saturated (%)")
@@ -454,7 +454,7 @@ def data(result: Comparison) -> dict[str, Any]:
     With conditions the answers are by the weighted mean, and all else is of the condition whose
     pictures are shown.
     """
-    job, group = result.job, result.pictured_group
+    job, group = result.job, result.shown
     content: dict[str, Any] = {
         "names": list(result.names),
         "match": job.match,
@@ -498,7 +498,7 @@ def _further_data(result: Comparison) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     conditions = [group for group in result.groups() if group.first.condition]
     if conditions:
-        entries["shown_condition"] = result.pictured_group.first.condition
+        entries["shown_condition"] = result.shown.first.condition
         entries["conditions"] = {
             group.first.condition: _condition_data(result, group) for group in conditions
         }
@@ -611,7 +611,7 @@ def _slider(result: Comparison) -> Slider:
         for sensor in result.sensors
     ]
     ideal = Picture(display_codes(reduced(result.sensors[0].score.ideal)), "ideal image")
-    heading = f"Pictures in {result.pictured_group.words}" if result.pictured_group.words else ""
+    heading = f"Pictures in {result.shown.words}" if result.shown.words else ""
     return Slider(
         "slider",
         heading,
@@ -681,7 +681,7 @@ def _detail(result: Comparison, end: float) -> Section:
         )
         for sensor in result.sensors
     ]
-    sizes = size_words(factor_for(first.score.image), result.pictured_group.display.samples_per_deg)
+    sizes = size_words(factor_for(first.score.image), result.shown.display.samples_per_deg)
     return Section("detail", title, (*details, DeltaEScale(scale(end)), sizes), together=True)
 
 
@@ -739,7 +739,7 @@ def _settings(result: Comparison) -> list[Block]:
     """Return the settings of each sensor side by side, then the common settings, and the settings
     of each condition.
     """
-    group, study = result.pictured_group, result.job.study
+    group, study = result.shown, result.job.study
     is_coloured = any(case.settings.pixel.colour for case in group.cases)
     scene = _scene_rows(result)
 
@@ -778,7 +778,7 @@ def _settings(result: Comparison) -> list[Block]:
 
 def _scene_rows(result: Comparison) -> list[Row]:
     """Return the rows of the settings of the scene, with the seed."""
-    group = result.pictured_group
+    group = result.shown
     light = result.sensors[0].light.image
     exposures_s = [sensor.score.frame.integration_s for sensor in result.sensors]
     level = LightLevel.of(light, group.display, exposures_s)

@@ -318,7 +318,7 @@ def curve_data(curve: Curve) -> dict[str, Any]:
         "technology": curve.technology,
         **{name: value for name, value in labels.items() if value},
         "optimum": (
-            curve.optimum.as_dict() if curve.judged_by_delta_e else curve.optimum.metric_dict()
+            curve.optimum.as_dict() if curve.judged_by_delta_e else curve.optimum.of_metric()
         ),
         "no_visible_difference_um": curve.no_difference_um,
         "optimum_fill_factor": curve.optimum_fill_factor,
@@ -346,7 +346,7 @@ def optima_data(curve: Curve) -> list[dict[str, Any]]:
         "condition": curve.condition,
         "alone": curve.alone,
     }
-    return [labels | {"metric": name} | optimum.metric_dict() for name, optimum in optima.items()]
+    return [labels | {"metric": name} | optimum.of_metric() for name, optimum in optima.items()]
 
 
 def _metrics_data(curve: Curve) -> dict[str, Any]:
@@ -362,7 +362,7 @@ def _metrics_data(curve: Curve) -> dict[str, Any]:
     }
     regrets = metric_regrets(curve)
     return {
-        "optima": {name: optimum.metric_dict() for name, optimum in optima.items()},
+        "optima": {name: optimum.of_metric() for name, optimum in optima.items()},
         "metrics": means,
         "regrets": regrets and regrets_data(regrets),
     }

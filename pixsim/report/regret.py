@@ -178,6 +178,6 @@ def condition_regrets_data(regrets: Regrets) -> dict[str, Any]:
         "metric": criteria[0].metric.name,
         **({"at": regrets.at} if regrets.at else {}),
         "weights": [criterion.weight for criterion in criteria],
-        "optima": [criterion.optimum.metric_dict() for criterion in criteria],
+        "optima": [criterion.optimum.of_metric() for criterion in criteria],
         **regrets_data(regrets),
     }

@@ -205,7 +205,7 @@ def doubts(result: Comparison) -> list[str]:
     """
     sized_doubts: list[tuple[float, str]] = []
     for group in result.groups():
-        for sensor in result.sensors_of_group(group).values():
+        for sensor in result.of_group(group).values():
             where = ", ".join(filter(None, (sensor.name, group.first.condition)))
             sized_doubts += [(cause.delta_e, f"{where}: {cause.words}") for cause in sensor.causes]
             errors = noise_error_and_limit(sensor.light.image.header)
@@ -225,9 +225,7 @@ def notes(result: Comparison) -> list[Note]:
     """
     group_notes = {
         group.words: [
-            note
-            for sensor in result.sensors_of_group(group).values()
-            for note in _sensor_notes(sensor)
+            note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)
         ]
         for group in result.all_groups
     }
@@ -282,7 +280,7 @@ def common_words(job: ComparisonJob) -> list[str]:
     """Return what all sensors of a comparison have in common; where conditions differ, in the
     condition whose pictures are shown.
     """
-    group, first = job.pictured_group, job.pictured_group.first
+    group, first = job.shown, job.shown.first
     has_delta_e = judged_by_delta_e(job.base[0])
     words = []
     if job.study is not None:
@@ -318,7 +316,7 @@ def common_words(job: ComparisonJob) -> list[str]:
 
 def _match_words(job: ComparisonJob) -> str:
     """Return what the lenses of the sensors have in common."""
-    camera, sensor = job.pictured_group.first.camera, job.pictured_group.first.sensor
+    camera, sensor = job.shown.first.camera, job.shown.first.sensor
     match job.match:
         case "view":
             stop = f_stop(camera.f_number)

@@ -222,7 +222,7 @@ class Comparison(Result):
             return None
         return {group.first.condition: group.weight for group in groups}
 
-    def sensors_of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
+    def of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
         """Return what else is known of the sensors of a group, by their names."""
         return {
             sensor.name: sensor
@@ -233,14 +233,14 @@ class Comparison(Result):
     # --- readings
 
     @property
-    def pictured_group(self) -> SensorGroup:
+    def shown(self) -> SensorGroup:
         """All sensors under the first condition of weight above 0, whose pictures are shown."""
         return next(group for group in self.groups() if group.weight)
 
     @property
     def sensors(self) -> tuple[ComparedSensor, ...]:
-        """The sensors of `pictured_group`, in the order of their files."""
-        return tuple(self.sensors_of_group(self.pictured_group).values())
+        """The sensors of `shown`, in the order of their files."""
+        return tuple(self.of_group(self.shown).values())
 
     def frames(self, name: str, metric: Metric = DELTA_E, condition: str | None = None) -> Array:
         """Return a number of each frame of a sensor on the stated display, (repeats,).
@@ -354,7 +354,7 @@ class Comparison(Result):
             if condition is not None:
                 weight = float(group.first.condition == condition)
             if weight:
-                sensors = self.sensors_of_group(group)
+                sensors = self.of_group(group)
                 steps = sensors[self.names[0]].steps
                 total += weight * steps.error_of_difference(sensors[other].steps)
         return None if math.isnan(total) else total
@@ -399,7 +399,7 @@ class Comparison(Result):
         """Largest error of each sensor's mean ΔE that the film may cause, or None if unknown."""
         totals = dict.fromkeys(self.names, 0.0)
         for group in self.groups():
-            for name, sensor in self.sensors_of_group(group).items() if group.weight else ():
+            for name, sensor in self.of_group(group).items() if group.weight else ():
                 totals[name] += group.weight * sensor.film_delta_e
         return {name: None if math.isnan(total) else total for name, total in totals.items()}
 

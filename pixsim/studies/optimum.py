@@ -150,7 +150,7 @@ class Optimum:
         """Return the fields as in summary.json."""
         return {name: value for name, value in asdict(self).items() if name != "is_of_reciprocal"}
 
-    def metric_dict(self) -> dict[str, Any]:
+    def of_metric(self) -> dict[str, Any]:
         """Return the optimum by a metric as in summary.json."""
         return {
             "pitch_um": self.pitch_um,

@@ -745,7 +745,7 @@ class ComparisonJob(Job[Run]):
         return tuple(dict.fromkeys(group.match for group in self.groups))
 
     @property
-    def pictured_group(self) -> SensorGroup:
+    def shown(self) -> SensorGroup:
         """All sensors under the first condition of weight above 0, whose pictures are shown."""
         return next(group for group in self.condition_groups() if group.weight)
 

@@ -16,8 +16,7 @@ from pathlib import Path
 from helpers.measure import PACKAGE, tree
 
 PLACEHOLDERS = frozenset(
-    "own found told kept each known one some given asked shown lit met most least "
-    "lacking settled alike reach without even apart calm".split()
+    ["own", "found", "told", "kept", "each", "known", "one", "some", "given", "asked", "shown", "lit", "met", "most", "least", "lacking", "settled", "alike", "reach", "without", "even", "apart", "calm"]
 )
 # Phrases of docstrings that send a reader elsewhere.
 REFERENCES = re.compile(r"\b(that of|those of|as of|also its|what is|what are|; None)\b")
@@ -55,7 +54,11 @@ def docstring(node: ast.AST) -> str:
 
 def code_lines(module: ast.Module, text: str) -> int:
     """Number of lines that are neither blank, nor comments, nor docstrings."""
-    lines = {number for number, line in enumerate(text.splitlines(), 1) if line.strip() and not line.strip().startswith("#")}
+    lines = {
+        number
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.strip().startswith("#")
+    }
     for node in ast.walk(module):
         if isinstance(node, Scope) and docstring(node):
             lines -= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
@@ -78,14 +81,27 @@ def top_names(module: ast.Module) -> set[str]:
     """Functions, classes and constants that a module defines and that do not begin with an underscore."""
     names = {node.name for node in module.body if isinstance(node, ast.ClassDef | Function)}
     for node in module.body:
-        targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        targets = (
+            node.targets
+            if isinstance(node, ast.Assign)
+            else [node.target]
+            if isinstance(node, ast.AnnAssign)
+            else []
+        )
         names |= {target.id for target in targets if isinstance(target, ast.Name)}
     return {name for name in names if not name.startswith("_")}
 
 
 def inner_names(package: Path) -> list[str]:
     """Top-level names without an underscore that no other file of the package, its tests or its pages names."""
-    sources = [*package.rglob("*.py"), *(path for folder in ("tests", "docs") for path in (package.parent / folder).rglob("*.[pm][yd]"))]
+    sources = [
+        *package.rglob("*.py"),
+        *(
+            path
+            for folder in ("tests", "docs")
+            for path in (package.parent / folder).rglob("*.[pm][yd]")
+        ),
+    ]
     words = {path: set(re.findall(r"\w+", path.read_text(encoding="utf-8"))) for path in sources}
     files_with = Counter(word for names in words.values() for word in names)
     return [
@@ -120,15 +136,29 @@ def by_room(package: Path) -> dict[str, Counter[str]]:
     rooms: dict[str, Counter[str]] = {}
     for path in sorted(package.rglob("*.py")):
         counts = count(path)
-        for room in (path.relative_to(package).parts[0] if path.parent != package else "(top)", "all"):
+        for room in (
+            path.relative_to(package).parts[0] if path.parent != package else "(top)",
+            "all",
+        ):
             rooms[room] = rooms.get(room, Counter()) + counts
     return {room: rooms[room] for room in sorted(rooms, key=lambda room: (room == "all", room))}
 
 
 def main(package: Path, *, names: bool, lines: bool) -> None:
-    inner = Counter(line.partition("/")[0] if "/" in line.partition(":")[0] else "(top)" for line in inner_names(package))
+    inner = Counter(
+        line.partition("/")[0] if "/" in line.partition(":")[0] else "(top)"
+        for line in inner_names(package)
+    )
     inner["all"] = inner.total()
-    titles = "nodes", "nodes/line", "placeholders", "blank, %", "wide lines", "ref./10⁴", "inner names"
+    titles = (
+        "nodes",
+        "nodes/line",
+        "placeholders",
+        "blank, %",
+        "wide lines",
+        "ref./10⁴",
+        "inner names",
+    )
     print("room".ljust(14), *(title.rjust(12) for title in titles))
     for room, counts in by_room(package).items():
         row = (
@@ -145,9 +175,17 @@ def main(package: Path, *, names: bool, lines: bool) -> None:
         print(*inner_names(package), sep="\n")
     if lines:
         for path in sorted(package.rglob("*.py")):
-            print(*(f"{path}:{line}: {name}" for line, name in sorted(placeholders(tree(path)))), sep="\n", end="")
+            print(
+                *(f"{path}:{line}: {name}" for line, name in sorted(placeholders(tree(path)))),
+                sep="\n",
+                end="",
+            )
 
 
 if __name__ == "__main__":
     folders = [Path(argument) for argument in sys.argv[1:] if not argument.startswith("--")]
-    main(folders[0].resolve() if folders else PACKAGE, names="--names" in sys.argv, lines="--lines" in sys.argv)
+    main(
+        folders[0].resolve() if folders else PACKAGE,
+        names="--names" in sys.argv,
+        lines="--lines" in sys.argv,
+    )

@@ -102,7 +102,7 @@ def test_conditions_are_those_comparisons_bit_for_bit(
         assert both.film_of_pair("b", condition=name) == result.film_delta_e["b"]
         assert both.sign("b", condition=name) == result.sign("b")
     assert [group.weight for group in both.groups()] == [0.75, 0.25]
-    assert both.pictured_group.first.condition == "day"
+    assert both.shown.first.condition == "day"
 
 
 def test_verdict_names_the_conditions_that_disagree(
@@ -144,7 +144,7 @@ def test_one_condition_is_the_comparison_without_a_study(
 def test_shown_condition_is_the_first_of_weight_above_0(files: list[Path]) -> None:
     never = {"name": "never", "weight": 0.0, "set": {"scene": {"file": "flat"}}}
     made = prepare(files, study=plan(condition=[never, *BOTH[::-1]]), match="view", repeats=2)
-    assert made.pictured_group.first.condition == "night"
+    assert made.shown.first.condition == "night"
     assert [(group.first.condition, group.scene) for group in made.groups] == [
         ("never", "flat"),
         ("night", "csf"),
@@ -164,8 +164,8 @@ def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> N
     ):
         study = Study.model_validate({"name": "lenses", "condition": order})
         made = prepare(files, study=study, match="view", repeats=2)
-        assert all(group.view == made.pictured_group.view for group in made.groups)
-        assert made.pictured_group.view["limited_by"] == limit
+        assert all(group.view == made.shown.view for group in made.groups)
+        assert made.shown.view["limited_by"] == limit
         own = {group.first.scene.parameters["max_lp_per_mm"] for group in made.groups}
         assert len(own) == 1
     fewer = {"name": "fewer", "set": {"display": {"dots": 30}}}
@@ -196,7 +196,7 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     assert {each.settings.exposure.well_target for part in made.groups for each in part.cases} == {
         0.5
     }
-    assert made.pictured_group.cases[0].camera.die_mm == 1.28
+    assert made.shown.cases[0].camera.die_mm == 1.28
 
 
 def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list[Path]) -> None:
@@ -210,12 +210,10 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     options: dict[str, Any] = {"match": "view", "repeats": 2}
     made = prepare(files, study=plan(**tables, lens={"file": "singlet"}), **options)
     same = prepare(files, study=plan(), options=tables | {"lens": {"file": "singlet"}}, **options)
-    assert made.pictured_group.first.settings == same.pictured_group.first.settings
-    assert made.pictured_group.first.settings.correction.dark_frames == 4
-    assert [each.camera for each in made.pictured_group.cases] == [
-        each.camera for each in same.pictured_group.cases
-    ]
-    assert made.pictured_group.cases[0].camera.lens is not None
+    assert made.shown.first.settings == same.shown.first.settings
+    assert made.shown.first.settings.correction.dark_frames == 4
+    assert [each.camera for each in made.shown.cases] == [each.camera for each in same.shown.cases]
+    assert made.shown.cases[0].camera.lens is not None
 
 
 def test_options_that_every_condition_sets_are_named(
@@ -232,10 +230,10 @@ def test_options_that_every_condition_sets_are_named(
 def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     made = prepare(files, "flat", study=study, match="view", repeats=2)
-    assert made.pictured_group.scene == "flat"
+    assert made.shown.scene == "flat"
     assert (
         prepare(files, study=study, match="view", repeats=2)
-        .pictured_group.cases[0]
+        .shown.cases[0]
         .scene.parameters["max_lp_per_mm"]
         == "12.0"
     )
@@ -289,7 +287,7 @@ def test_film_errors_of_conditions_add_up_by_weight(monkeypatch: pytest.MonkeyPa
             for weight, of_both in zip(weights, steps, strict=True)
         ]
         monkeypatch.setattr(Comparison, "groups_of_pair", lambda self, other, match=None: groups)
-        monkeypatch.setattr(Comparison, "sensors_of_group", lambda self, group: group.steps)
+        monkeypatch.setattr(Comparison, "of_group", lambda self, group: group.steps)
         result = Comparison(SimpleNamespace(names=("a", "b")), None, ())  # type: ignore[arg-type]
         return result.film_of_pair("b")
 

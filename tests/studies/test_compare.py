@@ -142,7 +142,7 @@ def test_matched_window_is_of_the_first_die() -> None:
 def prepared(files: list[Path], **options: Any) -> SensorGroup:
     match = options.pop("match", "view")
     scene = options.pop("scene_file", "csf")
-    return prepare(files, scene, match=match, repeats=2, options=options).pictured_group
+    return prepare(files, scene, match=match, repeats=2, options=options).shown
 
 
 def test_border_is_that_of_what_is_read(tmp_path: Path) -> None:
@@ -746,7 +746,7 @@ def test_axes_and_conditions_of_options_are_those_of_a_study(tmp_path: Path) -> 
     ]
     assert len({case.difference["b"] for case in of_options.cases}) == 2
     finer = pixsim.compare(files, tolerance_delta_e=5.0, **options)
-    assert finer.job.pictured_group.first.settings.tolerance_delta_e == 5.0
+    assert finer.job.shown.first.settings.tolerance_delta_e == 5.0
 
 
 def test_metric_without_a_number_is_said_to_be_missing(tmp_path: Path) -> None:

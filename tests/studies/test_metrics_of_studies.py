@@ -153,7 +153,7 @@ def test_study_says_the_best_sizes_by_information_at_other_contrasts(
         fit = fit_of_metric(METRICS["information"], own.pitch_um, own.statistics[name], widths)
         assert fit is not None
         assert own.fits[name].optimum == fit.optimum
-        assert result.as_dict()["curves"][0]["optima"][name] == fit.optimum.metric_dict()
+        assert result.as_dict()["curves"][0]["optima"][name] == fit.optimum.of_metric()
         sizes.append(fit.optimum)
     (line,) = contrast_words(result, own)
     stated_um = [float(number) for number in re.findall(r"([0-9.]+) µm", line)]
@@ -231,7 +231,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     result = pixsim.study(tiny(metrics=["information", "acutance", "mtf50"]), tmp_path, jobs=1)
     own = result.curves[0]
     assert not own.has_delta_e
-    assert own.as_dict()["optimum"] == own.optimum.metric_dict(), "no number of ΔE"
+    assert own.as_dict()["optimum"] == own.optimum.of_metric(), "no number of ΔE"
     assert own.optimum.value == pytest.approx(own.mean("information").max(), rel=0.05)
     pixsim.write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

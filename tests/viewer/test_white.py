@@ -185,7 +185,7 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
     first, result = white(files)
     assert first == white(files[::-1])[0]
     for sensor in result.sensors:
-        shown, camera = result.pictured_group, sensor.case.camera
+        shown, camera = result.shown, sensor.case.camera
         seen = imaging(
             camera,
             sensor.score.physics.pixel,
