@@ -46,16 +46,13 @@ _NAMED_TASKS = 4  # named in an error message
 _SUSPECTS = 2  # calls per job that are running or queued
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
-RECONNECT_SECONDS, LOOK_SECONDS = (
-    60.0,
-    0.1,
-)  # for a client that has lost its scheduler; it gives up after `CONNECT_SECONDS`
+# For a client that has lost its scheduler, which gives up after `CONNECT_SECONDS`; between two
+# looks at it.
+RECONNECT_SECONDS, LOOK_SECONDS = 60.0, 0.1
 BATCH_SECONDS, MAX_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
 _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
-IDLE_SECONDS, WATCH_SECONDS = (
-    300.0,
-    5.0,
-)  # for workers to come back after all are lost; between two looks
+# For workers to come back after all are lost; between two looks.
+IDLE_SECONDS, WATCH_SECONDS = 300.0, 5.0
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
@@ -71,11 +68,9 @@ class Workers:
     client: Client | None = None
 
     def __str__(self) -> str:
-        return (
-            f"the cluster at {self.client.scheduler.address}"
-            if self.client
-            else f"{self.jobs} processes"
-        )
+        if self.client:
+            return f"the cluster at {self.client.scheduler.address}"
+        return f"{self.jobs} processes"
 
 
 def workers_here(jobs: int | None = None) -> Workers:
@@ -87,11 +82,12 @@ def jobs_in_memory(largest_bytes: float) -> int:
     """Return the number of processes of which each has a core and memory for the largest frame, at
     least 1.
     """
-    usable = memory().usable
+    usable_bytes = memory().usable
     cores = workers_here().jobs
-    return (
-        cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
-    )
+    if usable_bytes is None:
+        return cores
+    fitting = int(usable_bytes // (BASE_BYTES + largest_bytes))
+    return max(1, min(cores, fitting))
 
 
 @contextmanager
@@ -122,19 +118,14 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
 
         class Client(distributed.Client):  # type: ignore[misc]
             def __del__(self) -> None:
-                with suppress(
-                    Exception
-                ):  # of one that could not connect, after its error has been reported
+                # A client that could not connect fails here, after its error has been reported.
+                with suppress(Exception):
                     super().__del__()
 
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (
-            OSError,
-            ValueError,
-            TypeError,
-            RuntimeError,
-        ) as error:  # RuntimeError: encryption is required, or TLS has no certificate
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            # RuntimeError: encryption is required, or TLS has no certificate.
             hint = "Start one with `dask scheduler`, and workers with `dask worker ADDRESS`."
             got = f"'{scheduler}' ({' '.join(str(error).split()) or type(error).__name__})"
             raise invalid(
@@ -188,9 +179,8 @@ def results_of(
     """
     left: Calls[Task, Shared] = dict(enumerate(calls))
     deadly: Calls[Task, Shared] = {}
-    address = (
-        workers.client.scheduler.address if workers.client else ""
-    )  # a closed client has forgotten it
+    # Read at the beginning, since a closed client has no address.
+    address = workers.client.scheduler.address if workers.client else ""
     if not workers.client and (len(calls) == 1 or (workers.jobs > 1 and not processes_work())):
         workers = Workers()  # one call does not need a process
 
@@ -214,23 +204,21 @@ def results_of(
         text = f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks"
         warn(Note("machine", words=text))
         indices = list(left)
-        if (
-            len(left) < before
-        ):  # the calls started first may be the cause: the others go before them
+        if len(left) < before:
+            # The calls started first may be the cause: the others go before them.
             half = len(indices) // 2
             left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
             continue
-        for index in indices[
-            : _SUSPECTS * workers.jobs
-        ]:  # one of the calls started first is the cause: run each alone
+        # One of the calls started first is the cause: run each alone.
+        for index in indices[: _SUSPECTS * workers.jobs]:
             alone = {index: left.pop(index)}
             yield from attempt(alone)
             deadly |= alone
     if deadly:
         tasks = [str(task) for task, _ in deadly.values()]
-        named = ", ".join(tasks[:_NAMED_TASKS]) + (
-            f" and {len(tasks) - _NAMED_TASKS} more" if len(tasks) > _NAMED_TASKS else ""
-        )
+        named = ", ".join(tasks[:_NAMED_TASKS])
+        if len(tasks) > _NAMED_TASKS:
+            named += f" and {len(tasks) - _NAMED_TASKS} more"
         raise PixsimError(
             f"workers ({workers}): each of these tasks ended its process, even when run alone:"
             f" {named}. Often the system is out of memory. Finished rows are kept, and the same"
@@ -413,13 +401,12 @@ def _replies(
 def _batch(
     function: Function[Task, Shared, Result], calls: list[tuple[int, Task, Shared]]
 ) -> tuple[list[_Reply[Result]], float]:
-    """Return the replies of some calls, and the seconds of a processor that they took: workers may
-    share one.
+    """Return the replies of some calls, and the processor time that they took in seconds, since
+    workers may share a processor.
     """
     start = time.thread_time()
-    return [
-        _numbered(function, index, task, shared) for index, task, shared in calls
-    ], time.thread_time() - start
+    replies = [_numbered(function, index, task, shared) for index, task, shared in calls]
+    return replies, time.thread_time() - start
 
 
 def _numbered(
@@ -429,15 +416,12 @@ def _numbered(
     with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always")
         result = function(task, shared)
-    return (
-        index,
-        result,
-        [
-            note_of(warning.message)
-            for warning in recorded
-            if issubclass(warning.category, UserWarning)
-        ],
-    )
+    notes = [
+        note_of(warning.message)
+        for warning in recorded
+        if issubclass(warning.category, UserWarning)
+    ]
+    return index, result, notes
 
 
 # loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and
@@ -586,9 +570,8 @@ def _watch_parent(parent: int) -> None:
     def run() -> None:
         while os.getppid() == parent:
             time.sleep(_WATCH_S)
-        os.kill(
-            os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM)
-        )  # on Windows, the latter ends a process at once
+        # Windows has no SIGKILL; there SIGTERM ends a process at once.
+        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
 
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
 

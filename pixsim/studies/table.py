@@ -1,8 +1,8 @@
-"""The one result of evaluations: a table of typed columns with the labels of each case; and its
-file, results.csv.
+"""The result of evaluations: a table of typed columns with the labels of each case, and its file,
+results.csv.
 
-A table has a row for each evaluation. Rows of results.csv are appended as they finish, from which
-interrupted work goes on.
+A table has a row for each evaluation. Rows are appended to results.csv as they finish, so that
+interrupted work continues from them.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ Row = dict[str, str]  # of a file
 
 
 def _row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
-    """Return the columns of results.csv, with further labels after the repeat, and those of some
+    """Return the columns of results.csv, with further labels after the repeat and the columns of
     metrics at the end.
     """
     after = ROW_COLUMNS.index("repeat") + 1
@@ -198,10 +198,10 @@ def _row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) 
 
 
 class Store:
-    """The rows of evaluations by their keys: their numbers in memory, and all of them in
+    """The rows of evaluations by their keys: their numbers in memory, and whole rows in
     results.csv, appended as they finish.
 
-    path : of the file; None keeps them in memory alone
+    path : of the file; None has no file
     labels : columns that tell cases and displays apart, after the repeat
     metrics : of the rows
     damaged : number of rows of the file that are not as they were written
@@ -225,7 +225,7 @@ class Store:
         return len(self._places)
 
     def values_of(self, keys: Sequence[str]) -> Array:
-        """Return the numbers of some rows, (rows, numbers); NaN of those that are not there."""
+        """Return the numbers of some rows, (rows, numbers); NaN for missing rows."""
         places = np.fromiter((self._places.get(key, -1) for key in keys), np.int64, len(keys))
         values = np.full((len(keys), len(self.numbers)), math.nan)
         stored = places >= 0
