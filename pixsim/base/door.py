@@ -254,8 +254,8 @@ def _array_of(
 ) -> Callable[[Any], Any]:
     """Return a validator of arrays of numbers.
 
-    axes : their number; None allows any
-    dtype : of the result; None leaves it
+    axes : their number. None allows any
+    dtype : of the result. None leaves it
     is_array : whether the annotation is an array, which has axes and is not empty
     """
     import numpy as np

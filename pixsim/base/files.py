@@ -534,7 +534,7 @@ def opened(
 ) -> Iterator[io.BufferedReader]:
     """Open a regular file for reading; whatever else the path leads to is not opened.
 
-    max_bytes : of the file; None allows `max_file_bytes`
+    max_bytes : of the file. None allows `max_file_bytes`
 
     Raises PixsimError if the file is missing, unreadable, not a regular file, too large, or without
     a size of its own, as those of /proc are: they may have no end.

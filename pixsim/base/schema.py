@@ -59,7 +59,7 @@ def result_data(
     settings : that it was computed with
     notes : which become {"id", "text"}
     cases : with the values of axes of each as "at"; one without any where there are no axes
-    table : name of the file with a row for each evaluation; None if there is none
+    table : name of the file with a row for each evaluation, or None if there is none
     optima : best pixel sizes, each with "metric", "pitch_um", "value", "interval_um" and what tells
         its curve from others
 

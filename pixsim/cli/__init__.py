@@ -46,7 +46,7 @@ def command() -> NoReturn:
 def main(tokens: Sequence[str] | None = None) -> NoReturn:
     """Run the command; errors of the user become one message and an exit code.
 
-    tokens : the arguments after `pixsim`; None takes the arguments of the process
+    tokens : the arguments after `pixsim`. None takes the arguments of the process
     """
     try:
         from cyclopts.exceptions import CycloptsError

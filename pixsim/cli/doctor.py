@@ -30,7 +30,7 @@ class Diagnosis:
 
     mark : OK, NOTE (renders work nevertheless) or PROBLEM
     found : what was found
-    mend : the command that mends it; None if there is none
+    mend : the command that mends it, or None if there is none
     facts : the numbers of `found`
     """
 
@@ -45,7 +45,7 @@ def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
     """Examine this machine, in about 5 s; a graphics card has time limits of its own.
 
     out : output folder to examine; it need not exist
-    limit_s : time limit of the test render, s; None for 20
+    limit_s : time limit of the test render, s, or None for 20
 
     Raises PixsimError for a limit that is not above 0.
     """

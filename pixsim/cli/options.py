@@ -347,8 +347,8 @@ Variant = Annotated[
 
 
 def _option_table(record: type[Record], name: str, inside: str = "") -> object:
-    """Return the fields of a record as dotted options, as text that the record validates; None if
-    no option is given.
+    """Return the fields of a record as dotted options, as text that the record validates, or None
+    if no option is given.
 
     name : of the options, which is the name of the field for a record in another one
     inside : name of the options of that other record

@@ -46,7 +46,7 @@ def explore(
     light : on the sensor, rendered or of another program; it stays as it is
     camera : the camera of the light by default
     exposure, display, correction, develop : to start from, as in `pixsim.evaluate`
-    opened : takes the path of the private file that leads to the page, such as print; None opens
+    opened : takes the path of the private file that leads to the page, such as print. None opens
         the browser
 
     What is shown is what `pixsim run` computes of the light. An interruption (Ctrl-C, or in a

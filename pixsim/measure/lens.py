@@ -99,7 +99,7 @@ class LensData(Result):
     curves : name -> values (n,)
     pitch_um : of the pixel whose Nyquist frequency is looked at
     notes : of how the file was read
-    reflectance : of coated surfaces in air; None for bare glass
+    reflectance : of coated surfaces in air, or None for bare glass
     """
 
     lens: Lens
@@ -227,7 +227,7 @@ def lens_data(
     wavelength_nm : of equal weight, by default as in its file
     pitch_um : of a pixel whose Nyquist frequency is looked at
     notes : of how the file was read
-    reflectance : of coated surfaces in air; None for bare glass
+    reflectance : of coated surfaces in air, or None for bare glass
 
     Raises PixsimError if a wavelength is outside the range of a glass, or if chief rays do not
     reach the image.

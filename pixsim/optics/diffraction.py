@@ -133,7 +133,7 @@ def diffract_sum(
     shape : (H, W)
     pitch_um : of the samples
     wavelength_nm : (B,)
-    f_number : effective, N_e = 1/(2 sin α); None: a lens without diffraction
+    f_number : effective, N_e = 1/(2 sin α). None: a lens without diffraction
     transfer : (frequencies in cycles/mm, wavelength in nm) -> further MTF, 1 at frequency 0, that
         multiplies the lens's
 

@@ -19,7 +19,7 @@ def cache_document(kind: str | None = None, clear: bool = False) -> Document:
     """Return the answer of `pixsim cache`: what the cache holds, after its entries were removed if
     asked for.
 
-    kind : of entries; None means all
+    kind : of entries. None means all
 
     Raises PixsimError for a kind of which there are no entries.
     """

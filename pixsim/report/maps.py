@@ -172,8 +172,8 @@ class Panel:
     """The curves of a panel, or of a line, of a figure.
 
     label : what tells it from others
-    rows : of curves along one axis, a row for each value of another; None for a case that the study
-        leaves out
+    rows : of curves along one axis, a row for each value of another, or None for a case that the
+        study leaves out
     """
 
     label: str
@@ -637,7 +637,7 @@ def draw_maps(
     There are up to two columns of panels; a single one is taller.
 
     maps : (up, across) of each panel; NaN where nothing is known
-    contours : (up, across) of each panel, numbers whose contours are drawn; None for none
+    contours : (up, across) of each panel, numbers whose contours are drawn, or None for none
     label : of the colours
     """
     columns = min(len(panels), 2)

@@ -163,7 +163,7 @@ def _best_size_words(criterion: Criterion) -> str:
 
 
 def regrets_data(regrets: Regrets) -> dict[str, Any]:
-    """Return names and regrets for JSON; None stands for infinity."""
+    """Return names and regrets for JSON. None stands for infinity."""
     rows = [
         [value if np.isfinite(value) else None for value in row] for row in regrets.matrix.tolist()
     ]

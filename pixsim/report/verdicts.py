@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
     """Return which of a pair is better by a metric, by how much, and how sure that is.
 
-    film : largest error of the difference that the film may cause, which is part of what follows ±;
-        None if it is unknown
+    film : largest error of the difference that the film may cause, which is part of what follows ±,
+        or None if it is unknown
     """
     first, other = pairs.names
     metric = pairs.metric

@@ -830,7 +830,7 @@ def integrate_pixels(
     running : `running_integral(rate)` if available; it is the same for all pitches
     size_um : `array_size_um`, (height, width) that the pixels fill, or None for the whole picture
     only : numbers of the rows and of the columns of pixels that are needed, or None for all of them
-    first_um : where the first row and the first column begin (`first_edge_um`); None centres the
+    first_um : where the first row and the first column begin (`first_edge_um`). None centres the
         array on the picture
     moves : how the picture moves, if it does
 
@@ -996,7 +996,7 @@ def array_on(
 
     None for the last if they are centred on the picture.
 
-    size_um : `array_size_um`; None means the whole picture
+    size_um : `array_size_um`. None means the whole picture
     """
     read_pitch_um = physics.read_pitch_um
     registration = physics.registration

@@ -86,7 +86,7 @@ def collected_charge_e(
     Parameters
     ----------
     photocurrent_e_per_s, integration_s : finite, ≥ 0, broadcast together
-    diode : from `diode_of`; None takes the photodiode of the default pixel
+    diode : from `diode_of`. None takes the photodiode of the default pixel
 
     Returns electrons, float64, in the broadcast shape: (i_ph + I_s)·t at first, approaching the
     charge down to V_oc as the diode turns forward. The relative error is below 1e-10 (measured:

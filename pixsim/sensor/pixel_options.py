@@ -479,7 +479,7 @@ class PixelOptions(Record):
 
     @property
     def stated_gain_e_per_dn(self) -> float | None:
-        """Electrons per code at 0 dB by `gain_e_per_dn` or `dn_per_e`; None: the codes above the
+        """Electrons per code at 0 dB by `gain_e_per_dn` or `dn_per_e`. None: the codes above the
         black level span a charge.
         """
         return self.gain_e_per_dn if self.dn_per_e is None else 1 / self.dn_per_e

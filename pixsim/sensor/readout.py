@@ -778,7 +778,7 @@ def make_frame(
     exposure : with which the numbers were read out
 
     saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
-    saturated : likewise, (rows, columns); None: not known
+    saturated : likewise, (rows, columns). None: not known
 
     Raises PixsimError if the electrons are too many for the numbers of the rates.
     """

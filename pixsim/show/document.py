@@ -91,7 +91,7 @@ class DocumentTable(_DocumentRecord):
     name : of the table, for readers of a screen reader
     head : names of the columns, with their units in a second line where that is shorter; empty for
         a table without
-    words : columns that are not numbers, beside the first; None for all
+    words : columns that are not numbers, beside the first, or None for all
     stacks : whether a row becomes lines on a small screen, its numbers behind the names of their
         columns
     wide : number of the last columns for which only a page has room

@@ -275,7 +275,7 @@ def finish(
 ) -> None:
     """Label axes, draw their grid, and put a legend of their named lines into them.
 
-    handlelength : of a line in the legend, in font sizes; None leaves it to Matplotlib
+    handlelength : of a line in the legend, in font sizes. None leaves it to Matplotlib
     """
     axes.set(xlabel=x, ylabel=y)
     axes.grid(alpha=0.25)

@@ -481,7 +481,7 @@ def rise(values: Sequence[float], intervals: Sequence[Interval]) -> bool:
     √((b - b_low)² + (a_high - a)²) for a first value a and a last value b of independent sensors.
 
     values : one for each process, in one unit
-    intervals : 95 %, low and high; None for an open end. A rise that depends on an open end is
+    intervals : 95 %, low and high, or None for an open end. A rise that depends on an open end is
         unknown, and so is one that includes a value with both ends open; neither counts as a rise.
     """
     low, high = intervals[-1][0], intervals[0][1]

@@ -242,7 +242,7 @@ class ResultsComparison(Result):
     @property
     def film_delta_e(self) -> float | None:
         """Largest error of a difference of mean ΔE that the film may cause, the sum of both
-        results'; None if it is unknown.
+        results', or None if it is unknown.
         """
         error = self.a.film_delta_e + self.b.film_delta_e
         return None if math.isnan(error) else error
@@ -371,7 +371,7 @@ def compare(
 
     files : of the sensors: TOML files with a table [pixel], such as data sheets; files of
         technologies, or names of packaged ones. The first is the reference
-    scene : XML file or name of a packaged scene; None means that of the study, or csf
+    scene : XML file or name of a packaged scene. None means that of the study, or csf
     study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and
         conditions hold for all sensors, and its lens for files that state none. Under conditions,
         the result is that of the weighted mean over them, and has `conditions`. With axes, the
@@ -388,10 +388,10 @@ def compare(
     parameters : of the scene, each in its unit
     pixel : fields of all pixels, as {"bits": 12}
     sensor : id of the scene's sensor, if it has several
-    variant : Mitsuba variant; None means the fastest that works
+    variant : Mitsuba variant. None means the fastest that works
     quick : fewer pairs of frames, and the overrides of `study`, the file NAME.quick.toml next to
         its own
-    jobs : processes; None means one per core, where they are worth it. The results do not depend on
+    jobs : processes. None means one per core, where they are worth it. The results do not depend on
         it
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes

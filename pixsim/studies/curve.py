@@ -103,7 +103,7 @@ class Curve(Result):
     """Mean ΔE against pitch for one technology, or another metric that judges first.
 
     technology : name, or path of its file
-    feature_size_um : of the process; None for a sensor that is described by its data sheet only
+    feature_size_um : of the process, or None for a sensor that is described by its data sheet only
     pitch_um : (pitches,) increasing
     fill_factor : (pitches,) photodiode area over pixel area
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer
@@ -116,7 +116,7 @@ class Curve(Result):
     case : labels of its case
     errors : of its mean ΔE
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is
-        doubtful; None without microlenses
+        doubtful, or None without microlenses
     missing : (name of a metric, pitch in µm, reason) where a metric has no number; without a name,
         the pitch is left out
     on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
@@ -315,8 +315,8 @@ class Curve(Result):
         """Range of pitches around the best whose mean ΔE differs by less than 0.05, with its error.
 
         The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²).
-        The range is the widest of neighbouring pitches with the best of them; None if its ratio is
-        below `WIDE_RATIO`, as around any smooth minimum.
+        The range is the widest of neighbouring pitches with the best of them, or None if its ratio
+        is below `WIDE_RATIO`, as around any smooth minimum.
         """
         if not self.judged_by_delta_e:
             return None  # the threshold is one of ΔE
@@ -399,7 +399,7 @@ def curve_of(
 ) -> Curve:
     """Return the curve of one technology, with its optima, from its evaluations on one display.
 
-    metrics : of which there are optima, the first one that of the curve; None takes those of the
+    metrics : of which there are optima, the first one that of the curve. None takes those of the
         table
     label : of sensor and case, for messages
 

@@ -362,8 +362,8 @@ class Case(Generic[Settings]):
     labels : that tell it from other cases, beside the sensor; they are columns of its rows
     group : cases of a group share white and border, and follow one another: the sensors of a
         combination
-    imaging : what lies between the light and the score, at the largest pixel size; None before it
-        is found
+    imaging : what lies between the light and the score, at the largest pixel size, or None before
+        it is found
     further_displays : beside the stated one; each frame is shown on them, too
     stream : how the keys of its random streams begin; then follow the pixel size, if
         `stream_has_pitch`, and the repeat
@@ -404,7 +404,7 @@ class Case(Generic[Settings]):
 
     @property
     def picture(self) -> SpectralImage | None:
-        """The picture of another program; None for a scene."""
+        """The picture of another program, or None for a scene."""
         return self.source if isinstance(self.source, SpectralImage) else None
 
     @property
@@ -452,7 +452,7 @@ def warn_of_reviews(cases: Iterable[tuple[str, Case[Any], SceneLight | None]]) -
     """Warn of the findings of a review of some sensors: of their smallest pixels, which exceed a
     model's limits most.
 
-    cases : name of the sensor in messages, the case, and its light; None before the light is
+    cases : name of the sensor in messages, the case, and its light, or None before the light is
         rendered
     """
     sensors: dict[str, list[tuple[Imaging, SceneLight | None]]] = {}

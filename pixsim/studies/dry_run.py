@@ -137,7 +137,7 @@ def _run_cost(
 ) -> Cost:
     """Estimate a run.
 
-    plan : of its render; None for a picture that is read
+    plan : of its render, or None for a picture that is read
     shape : (H, W) of the film or the picture
     """
     render_s, light_bytes = 0.0, 0.0
@@ -237,7 +237,7 @@ def _planned_sensors(
 def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
 
-    jobs : processes; None means as many as it would take
+    jobs : processes. None means as many as it would take
     types : number of sensor types of --uncertainty or --sobol
     """
     study, request = job.settings, job.request
@@ -270,8 +270,8 @@ def _planned_light(request: LightRequest) -> dict[str, Any]:
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of
         each in each pass
     film_share : least error of the film as a share of mean ΔE, for dots with less than one sample
-    rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits
-        them, 0 if there are none
+    rays_a_pixel : limit of the rays on each pixel, of all passes together, or None if only time
+        limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
     (height, width), plan, smallest, settings = (

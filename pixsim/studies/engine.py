@@ -94,7 +94,7 @@ def jobs_in_memory(largest_bytes: float) -> int:
 def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[Workers]:
     """Provide local or cluster workers.
 
-    jobs : local processes; None means one per core
+    jobs : local processes. None means one per core
     scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which
         stays open
 

@@ -513,7 +513,7 @@ def _array_name(repeat: int, part: str) -> str:
 def _cached_frame(
     frames: cache.Arrays, repeat: int, shape: tuple[int, int], imaging: Imaging
 ) -> cache.Arrays | None:
-    """Return the cached arrays of a frame (rows, columns), by `_DN` and so on; None if one is
+    """Return the cached arrays of a frame (rows, columns), by `_DN` and so on, or None if one is
     missing.
     """
     pictures = [_DN]
@@ -535,7 +535,7 @@ def _cached_frame(
 def _chain_of_cached_frame(
     task: Task, light: SharedLight, repeat: int, frames: cache.Arrays
 ) -> ImagingChain | None:
-    """Return the imaging chain of a repeat that shows its cached frame; None if there is no such
+    """Return the imaging chain of a repeat that shows its cached frame, or None if there is no such
     frame.
 
     It lacks the light behind the frame, so that its `Frame.mean_e` is 0.
@@ -709,11 +709,11 @@ def evaluate_points(
     points.
 
     cases : cases of a group follow one another
-    results : results.csv, whose folder the caller has locked; None writes no file
+    results : results.csv, whose folder the caller has locked. None writes no file
     workers : None takes as many processes as are worth it
     progress : returns a callback for each round
     further_sizes : called for each group when its points are evaluated; it depends on the tables
-        alone, so that a resumed study adds the same points; None adds no points
+        alone, so that a resumed study adds the same points. None adds no points
     on_case_done : called with each case as soon as its points are evaluated, while workers go on
         with others
     counts : is filled

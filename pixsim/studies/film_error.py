@@ -171,7 +171,7 @@ def measured_regions(
     if it is measured whole.
 
     max_count : largest number of cells, pixels, or quarters of the display's dots that are
-        measured; None means `MEASURED`
+        measured. None means `MEASURED`
     """
     height, width = image.shape
     pixels = height * width * (image.pitch_um / pitch_um) ** 2
@@ -229,7 +229,7 @@ class _PicturePart:
     them at the picture's scale.
 
     region : the rows and columns
-    chart : shown by the whole picture, if its means over other samples are known; None for other
+    chart : shown by the whole picture, if its means over other samples are known, or None for other
         pictures
     """
 
@@ -498,7 +498,7 @@ def light_error_and_limit(
     is tolerated of them.
 
     header : of the irradiance
-    film : error of its film; None if it was not measured
+    film : error of its film, or None if it was not measured
     """
     error, limit = noise_error_and_limit(header)
     if film is not None:
@@ -718,7 +718,7 @@ def film_steps(
     Behind a real lens only the parts are blurred, with light around them as wide as its PSF: each
     by the PSF of its middle, which is the same on all films.
 
-    part_pitch_um : pitch that sets the size of the parts; None means the pixel's pitch
+    part_pitch_um : pitch that sets the size of the parts. None means the pixel's pitch
     """
     imaging = _with_linear_denoising(imaging)
     display = imaging.display
@@ -772,7 +772,7 @@ class BehindLens:
 
     @classmethod
     def of(cls, image: SpectralImage, imaging: Imaging) -> BehindLens | None:
-        """Return the parts of a picture behind a real lens; None behind a thin lens."""
+        """Return the parts of a picture behind a real lens, or None behind a thin lens."""
         tiling = tiling_of(image, imaging.camera)
         if tiling is None:
             return None

@@ -71,8 +71,8 @@ class Light:
     """The irradiance on a sensor, rendered on the film chosen for it, or given by the user.
 
     camera : of the render
-    film : the error of its film; None for given light
-    noise : of its render; None for given light
+    film : the error of its film, or None for given light
+    noise : of its render, or None for given light
     background : irradiance of the scene without its target, if a metric asks for it
     """
 
@@ -448,7 +448,7 @@ def render_for(
 ) -> Light:
     """Return the light of a case of a study.
 
-    film : measured with more light; None measures the film of this light
+    film : measured with more light. None measures the film of this light
     """
     study, request = case.settings, light_request(case)
     try:

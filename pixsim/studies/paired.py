@@ -89,7 +89,7 @@ def paired(
 
     table : rows of both sensors on one display
     a, b : names of the sensors
-    weights : share of each condition, whose frames of one number are averaged; None without
+    weights : share of each condition, whose frames of one number are averaged, or None without
         conditions
 
     Raises PixsimError if a frame of one sensor has no partner of the other.

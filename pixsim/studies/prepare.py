@@ -232,7 +232,7 @@ def uncertainty_request(
     smaller_than_um: Sequence[float],
     spreads: Uncertainty,
 ) -> UncertaintyRequest | None:
-    """Return the request about the unknown numbers that options make; None without such options.
+    """Return the request about the unknown numbers that options make, or None without such options.
 
     uncertainty, sobol : sensor types to draw: at random, or for total indices
     smaller_than_um : as in `UncertaintyRequest`
@@ -485,7 +485,7 @@ def _max_pixel_count(camera: Camera, sheet_pitch_um: float | None) -> float:
     For a data sheet they take 1 GiB while a frame is simulated, or are as many as its sensor has;
     for a technology they are as many as pixsim simulates.
 
-    sheet_pitch_um : pitch of the data sheet; None for a technology
+    sheet_pitch_um : pitch of the data sheet, or None for a technology
     """
     if sheet_pitch_um is None:
         return MAX_PIXELS
@@ -548,7 +548,7 @@ def _largest_size_um(study: Study, camera: Camera, high_um: float) -> float:
 
 def _smallest_size_um(study: Study, camera: Camera, low_um: float | None) -> float | None:
     """Return the smallest pixel size of a range that is left open, with a warning if a frame cannot
-    hold smaller ones; None where it follows from the fill factor.
+    hold smaller ones, or None where it follows from the fill factor.
 
     low_um : of `Study.open_range_um`
 
@@ -1124,10 +1124,10 @@ def sensor_case(
 
     case : with its complete settings, its source and its camera
     repeats : number of sensors of the kind
-    border_um : width that is not scored; None takes the border of its pixels, with room for what
+    border_um : width that is not scored. None takes the border of its pixels, with room for what
         moves
     units : of light in files that do not state them
-    request : metrics; None takes ΔE and those of the settings
+    request : metrics. None takes ΔE and those of the settings
     imaging_fields : further fields of `Imaging`, such as `is_run`
 
     Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many

@@ -30,7 +30,7 @@ class Criterion:
     optimum : the best size
     pitch_um : (n,) increasing
     share : (n,) the metric's least loss over its loss there, from 0 to 1
-    weight : share of a condition; None for other criteria
+    weight : share of a condition, or None for other criteria
     """
 
     name: str

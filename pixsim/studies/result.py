@@ -318,7 +318,7 @@ class CasesResult(StudyResult):
     def case(self, condition: str | None = None, **at: float | int | str) -> StudyResult:
         """Return the result of one case, with its curves, pictures and files.
 
-        condition : its name; None if the study has at most one
+        condition : its name, or None if the study has at most one
         at : axis -> its value in the unit of its settings, or its label; axes that tell no cases
             apart need not be given
 

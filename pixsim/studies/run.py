@@ -430,13 +430,13 @@ class RunResult(RenderedRun, Result):
 
     prepared : what was run: source, settings and camera
     irradiance : light on the sensor, before diffraction
-    rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for
-        light of another program
+    rendered, plan : the light as it was rendered, with its errors, and the plan of that, or None
+        for light of another program
     warned : warnings meanwhile
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     table : of the first frame of each sensor
-    table_at_first : the same of further sensors at the first one's registration; None if all
+    table_at_first : the same of further sensors at the first one's registration, or None if all
         sensors have it
     keys : of the rows of the table, hashes of all that they depend on
     threshold : where the target is just seen, if the settings ask for it
@@ -492,7 +492,7 @@ class RunResult(RenderedRun, Result):
         return self.table_at_first is not None
 
     def interval(self, values: Array, column: str) -> tuple[float, float] | None:
-        """Return the 95 % interval of the expectation of a number of the sensors; None of one
+        """Return the 95 % interval of the expectation of a number of the sensors. None of one
         sensor.
 
         It is that of `spread_interval`, and by Student's t where all sensors have one registration.
@@ -636,7 +636,7 @@ def run(
         scored
     full : leave out no effect, whatever the plan says of its size
     sensor : id of the scene's sensor, if it has several
-    variant : Mitsuba variant; None means the fastest that works
+    variant : Mitsuba variant. None means the fastest that works
     units : of an image whose file does not state them, such as W.m^-2.nm^-1
     progress : returns a callback for each named stage
     metrics : names of further metrics, or functions of a `Score`, each a number in its own unit

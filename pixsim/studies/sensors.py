@@ -210,7 +210,7 @@ def sensor_layer(file: str) -> Layer:
 class _SharedSettings:
     """Settings of all sensors of a comparison, from a study, files and options.
 
-    plan : study with the axes and conditions; None without
+    plan : study with the axes and conditions, or None without
     lens : [camera] and [lens] for files that state none of it
     layers : of the study and of files; each takes precedence over the one before it, and over a
         sensor's own file
@@ -332,7 +332,7 @@ class _Circumstances:
     """What the axes and one condition of a study set for every sensor.
 
     weight : share of the condition; 1 without conditions
-    layer : settings over those that all sensors share; None where neither sets any
+    layer : settings over those that all sensors share, or None where neither sets any
     scene : file of the scene, where they set it; else empty
     at, alone, condition, labels : of the case, as in `Case`
     words : values of axes and condition, for messages
@@ -770,7 +770,7 @@ def prepare(
     render.
 
     match : None means `view`, and another one as a further condition
-    repeats : pairs of frames; None means `USUAL_REPEATS`
+    repeats : pairs of frames. None means `USUAL_REPEATS`
     config, options : settings for all sensors, as tables; they take precedence over those of the
         study, but not of its conditions. Both may have what only a study has, as axes and
         conditions, in place of those of the study
@@ -967,7 +967,7 @@ def matched_cameras(
     match : 'view': the lens of the reference, its focal length scaled such that the image distance
         v = f(1 + |m|) goes with the width of the die: equal field of view, f-number and object
         distance; 'lens': the lens of the reference; 'own': each its own
-    window_mm : width of a central part of the reference's die that limits the field; None takes all
+    window_mm : width of a central part of the reference's die that limits the field. None takes all
         of it
 
     Raises PixsimError if a camera forms no image.

@@ -748,7 +748,7 @@ class Study(Setting):
 
     @property
     def own_um(self) -> float | None:
-        """The smallest of `own_pitches_um`; None for a study of technologies."""
+        """The smallest of `own_pitches_um`, or None for a study of technologies."""
         return min(self.own_pitches_um, default=None)
 
     @property

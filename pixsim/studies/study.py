@@ -584,14 +584,14 @@ def study(
     scene : XML file or name of a packaged scene, which overrides a named study's
     quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file
         NAME.quick.toml next to the study's, or else at most 8 sizes of 4 sensors
-    jobs : processes; None means one per core. The results do not depend on it.
+    jobs : processes. None means one per core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes; on the same kind of processor their results are bitwise equal
-    variant : Mitsuba variant; None means the fastest that works
+    variant : Mitsuba variant. None means the fastest that works
     progress : returns a callback for each named stage
     agreed : whether a study with axes or sensor types may take more than 100 000 evaluations
     uncertainty : number of sensor types to draw from the ranges of technologies and
-        [pixel.uncertainty] of `config`, for the result's `uncertainty`; None means none
+        [pixel.uncertainty] of `config`, for the result's `uncertainty`. None means none
     sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor
         types
     smaller_than_um : sizes; the probability that the optimum is smaller is reported

@@ -124,7 +124,7 @@ def sweep(
     of `evaluate`, and smaller ones among larger ones those of fewer dots.
 
     pixels : of each sensor; a list, or names -> pixels
-    camera : of all; None means that of the light's header, or the default; a table is over it
+    camera : of all. None means that of the light's header, or the default; a table is over it
     exposure, display, correction, develop, motion, metric, without : of `pixsim.evaluate`, or
         tables of `pixsim.study`
     metrics : names of metrics, or functions of a Score that return a number; each has its columns.
@@ -135,7 +135,7 @@ def sweep(
     config : one or more TOML files with settings of all sensors, which take precedence over the
         numbers of `pixels`
     pixel : fields of all pixels, as {"bits": 12}
-    jobs : processes; None means one per core, where they are worth it. The results do not depend on
+    jobs : processes. None means one per core, where they are worth it. The results do not depend on
         it
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes

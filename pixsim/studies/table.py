@@ -201,7 +201,7 @@ class Store:
     """The rows of evaluations by their keys: their numbers in memory, and whole rows in
     results.csv, appended as they finish.
 
-    path : of the file; None has no file
+    path : of the file, or None has no file
     labels : columns that tell cases and displays apart, after the repeat
     metrics : of the rows
     damaged : number of rows of the file that are not as they were written

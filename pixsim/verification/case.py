@@ -55,7 +55,7 @@ class KnownAnswer:
     tolerance : largest error, relative to `scale`
     source : of the expected value, and the reason of the tolerance
     inputs : the arguments of each call; what is no tuple is the only argument
-    scale : as `expected`; None is the expected value, and zeros must match exactly
+    scale : as `expected`. None is the expected value, and zeros must match exactly
     """
 
     name: str

@@ -144,9 +144,9 @@ def accuracy(
     parameters : of the scene, each in its unit
     camera, lens, pixel, exposure, motion, correction, develop, display : fields of these tables,
         each in its unit, which override the files
-    seed : of the render; None means the seed in `config`, or 0
+    seed : of the render. None means the seed in `config`, or 0
     sensor : id of the scene's sensor, if it has several
-    variant : Mitsuba variant; None means the fastest that works
+    variant : Mitsuba variant. None means the fastest that works
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and if the scene cannot be rendered or captured.
@@ -298,7 +298,7 @@ def _measure(
     """Return a rung, and the standard noise of its frame.
 
     noise_factor : as much render noise as asked for
-    noise : of another rung's frame; None draws it
+    noise : of another rung's frame. None draws it
     """
     render_noise = noise_factor * request.settings.render_noise
     noisier_request = replace(

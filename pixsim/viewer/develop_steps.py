@@ -137,8 +137,8 @@ class _ChannelNoise:
     remosaiced : whether a quad pattern becomes one of single pixels before
     products : autocorrelation of filters of the developed planes
     correlations : of the pixels of a channel at each place of the unit cell, or of each plane, as a
-        filter of the raw planes leaves them, (2m + 1, 2n + 1) with the middle at the distance 0;
-        None where pixels are independent
+        filter of the raw planes leaves them, (2m + 1, 2n + 1) with the middle at the distance 0,
+        or None where pixels are independent
     matrix : (3, C) that the channels are multiplied with, or None for none
     """
 

@@ -67,8 +67,8 @@ class Development:
 
     @cached_property
     def flat_field(self) -> Array | None:
-        """What each pixel collects of uniform light, relative to one on axis, (rows, columns); None
-        without a stack.
+        """What each pixel collects of uniform light, relative to one on axis, (rows, columns), or
+        None without a stack.
         """
         return (
             None if self.collection is None else self.collection.relative(self.signal_e_per_s.shape)

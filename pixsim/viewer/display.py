@@ -297,8 +297,8 @@ def pixel_edges_um(
 ) -> Array:
     """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
 
-    registration : of the pixels along this axis, as in `PixelPhysics`: a fraction of the pitch;
-        None for a centred line
+    registration : of the pixels along this axis, as in `PixelPhysics`: a fraction of the pitch,
+        or None for a centred line
     """
     if registration is None:
         return length_um / 2 + (np.arange(count + 1.0) - count / 2) * pitch_um

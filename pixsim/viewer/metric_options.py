@@ -82,8 +82,8 @@ class Information(Record):
 
     @property
     def other_contrasts(self) -> tuple[float, float] | None:
-        """A third of the contrast, and three times it but at most 1, or itself if it is more; None
-        for a scene's own spectrum.
+        """A third of the contrast, and three times it but at most 1, or itself if it is more, or
+        None for a scene's own spectrum.
         """
         if self.spectrum == "scene":
             return None

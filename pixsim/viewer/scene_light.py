@@ -50,7 +50,7 @@ class SceneLight:
     """What light a sensor is given.
 
     irradiance : on the sensor plane, before diffraction
-    background : irradiance of the scene without its target, on the same samples; None where no
+    background : irradiance of the scene without its target, on the same samples, or None where no
         metric asks for it
     """
 
@@ -87,7 +87,7 @@ class LightFacts:
 
     mean : of all samples, a picture of 1 × 1 with the header of the whole one
     picture : behind the lens, as the first channel sees it, (H, W)
-    background : light behind the lens of the scene without its target, for each channel; None:
+    background : light behind the lens of the scene without its target, for each channel. None:
         there is none
     """
 

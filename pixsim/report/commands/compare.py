@@ -50,7 +50,7 @@ def comparison_files(
     dry run.
 
     options : tables and fields of a study, over those of `study` and `config`
-    out : folder; None means one named by the sensors
+    out : folder. None means one named by the sensors
     axes : NAME=VALUES each, over those of the files
     progress, seconds : stages, and where their wall times are collected
     prepare_options : the other keywords of `pixsim.studies.sensors.prepare`

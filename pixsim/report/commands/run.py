@@ -31,7 +31,7 @@ def run_files(
 ) -> tuple[Document, Path | None]:
     """Write the files of a run to a folder. Returns the answer and the page; no page of a dry run.
 
-    out : folder; None means one named by the scene
+    out : folder. None means one named by the scene
     formats : of the raw frame, besides EXR
     irradiance : what irradiance.exr holds
     progress, seconds : stages, and where their wall times are collected

@@ -54,7 +54,7 @@ def study_files(
     run.
 
     options : tables and fields of a study, over those of its file and of `config`
-    out : folder; None means one named by the study
+    out : folder. None means one named by the study
     axes : NAME=VALUES each, over those of the files
     progress, seconds : stages, and where their wall times are collected
     say : takes a line on the computation that begins `pixsim.study` describes the other keywords.
