@@ -29,7 +29,7 @@ from pixsim.viewer.score import NOTHING, Cause
 
 _MIN_CODES = 8.0  # between black and display white; with fewer, the ADC makes the picture
 _SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable
-BLACK_TO_WHITE_DELTA_E = 100.0  # ΔE from black to white
+_BLACK_TO_WHITE_DELTA_E = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 _LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
@@ -158,16 +158,16 @@ def _uninformative_cause(cause: Cause | None, saturated_fraction: float) -> Caus
     are the cause.
     """
     if cause is None and saturated_fraction >= _ALL_SATURATED:
-        cause = Cause("all pixels are saturated", BLACK_TO_WHITE_DELTA_E, _less_light())
+        cause = Cause("all pixels are saturated", _BLACK_TO_WHITE_DELTA_E, _less_light())
     elif cause is None:
         remedy = (
             f"more light or time ({setting('exposure.integration_s')},"
             f" {setting('exposure.max_integration_s')})"
         )
         cause = Cause(
-            "its light is lost in the noise", BLACK_TO_WHITE_DELTA_E, f"{remedy}, or less noise"
+            "its light is lost in the noise", _BLACK_TO_WHITE_DELTA_E, f"{remedy}, or less noise"
         )
-    return Cause(f"{NOTHING}: {cause.words}", BLACK_TO_WHITE_DELTA_E, cause.hint)
+    return Cause(f"{NOTHING}: {cause.words}", _BLACK_TO_WHITE_DELTA_E, cause.hint)
 
 
 def _less_light() -> str:
@@ -213,12 +213,14 @@ def _contrast_cause(low: float, high: float, white: str) -> Cause | None:
     hint = "its mean ΔE comes from noise and offsets alone; judge a sensor by a scene with detail"
     if high < _SEEN_LIGHTNESS:
         hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
-    elif low > BLACK_TO_WHITE_DELTA_E - _SEEN_LIGHTNESS:
+    elif low > _BLACK_TO_WHITE_DELTA_E - _SEEN_LIGHTNESS:
         hint = (
             f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
         )
     return Cause(
-        f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", BLACK_TO_WHITE_DELTA_E, hint
+        f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}",
+        _BLACK_TO_WHITE_DELTA_E,
+        hint,
     )
 
 
@@ -245,6 +247,6 @@ def _outside_light_cause(share: float) -> Cause | None:
         return None
     return Cause(
         outside_words(share),
-        BLACK_TO_WHITE_DELTA_E - float(_lightness_of(np.array(1 - share))),
+        _BLACK_TO_WHITE_DELTA_E - float(_lightness_of(np.array(1 - share))),
         outside_hint(),
     )

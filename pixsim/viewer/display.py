@@ -71,8 +71,8 @@ _PRIMARIES_XYZ = np.array([[x / y, 1.0, (1 - x - y) / y] for x, y in _PRIMARIES_
 XYZ_FROM_RGB = _PRIMARIES_XYZ * np.linalg.solve(_PRIMARIES_XYZ, WHITE_XYZ)
 RGB_FROM_XYZ = np.linalg.inv(XYZ_FROM_RGB)
 # Of a primary's largest light, for rounding; of float32.
-GAMUT_TOLERANCE = 1e-9
-SINGLE_GAMUT_TOLERANCE = 1e-6
+_GAMUT_TOLERANCE = 1e-9
+_SINGLE_GAMUT_TOLERANCE = 1e-6
 
 # Pictures divided by white stay within float64 for any sensor and exposure.
 _WHITE_E_PER_S_UM2 = (1e-200, 1e200)
@@ -85,7 +85,7 @@ SPLINE_DEGREE = {"nearest": 0, "linear": 1, "cubic": 3, "quintic": 5}
 _B_SPLINE_SAMPLES = {0: (1.0,), 1: (1.0,), 3: (4 / 6, 1 / 6), 5: (66 / 120, 26 / 120, 1 / 120)}
 
 # Bins of luminance; powers of two, as the number of codes, so that a product with bins is exact.
-BINS_OF_CODE = 128
+_BINS_PER_CODE = 128
 MAX_BINS = 1 << 18
 _CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 
@@ -658,7 +658,7 @@ def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
 
     single : return it in float32
     """
-    count = min(BINS_OF_CODE * (top + 1), MAX_BINS)
+    count = min(_BINS_PER_CODE * (top + 1), MAX_BINS)
     edges = np.arange(count + 1) / count
     borders = _code_borders(gamma, top)
     first_code = np.searchsorted(borders, edges[:-1], "right")
@@ -710,7 +710,7 @@ def out_of_gamut_share(rgb: Array) -> float:
     rgb : light of the primaries, relative
     """
     planes = _planes_of(rgb)
-    tolerance = SINGLE_GAMUT_TOLERANCE if rgb.dtype == np.float32 else GAMUT_TOLERANCE
+    tolerance = _SINGLE_GAMUT_TOLERANCE if rgb.dtype == np.float32 else _GAMUT_TOLERANCE
     red_y, green_y, blue_y = (XYZ_FROM_RGB[1] / WHITE_XYZ[1]).tolist()
     outside = 0
     for rows in strips(planes.shape[1], math.prod(planes.shape[2:])) if planes.ndim > 1 else [...]:

@@ -42,7 +42,7 @@ from pixsim.viewer.without_effect import warn_of_settings
 S = TypeVar("S", bound=Score)
 # Chains that stay in memory.
 MAX_CHAINS = 8
-MAX_CHAIN_BYTES = 1 << 27
+_MAX_CHAIN_BYTES = 1 << 27
 _MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
 # The last one last; with `PreparedScene.beyond_white`.
 _recent_chains: dict[str, tuple[ImagingChain, float]] = {}
@@ -128,7 +128,7 @@ def _add_recent(key: str, chain: ImagingChain, beyond_white: float) -> None:
         other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes
         for other, _ in _recent_chains.values()
     ]
-    while len(sizes) > MAX_CHAINS or sum(sizes) > MAX_CHAIN_BYTES:
+    while len(sizes) > MAX_CHAINS or sum(sizes) > _MAX_CHAIN_BYTES:
         _recent_chains.pop(next(iter(_recent_chains)), None)
         sizes.pop(0)
 

@@ -15,10 +15,10 @@ from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, NPWE, VISUAL_NOISE
 
 _NameOrFunction = str | Callable[[Score], float]
 _GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
-FRAME_METRICS = DETECTABILITY, INFORMATION, MTF50, NIIRS
+_FRAME_METRICS = DETECTABILITY, INFORMATION, MTF50, NIIRS
 PICTURE_METRICS = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
 METRICS: Mapping[str, Metric] = {
-    metric.name: metric for metric in (DELTA_E, *FRAME_METRICS, *PICTURE_METRICS)
+    metric.name: metric for metric in (DELTA_E, *_FRAME_METRICS, *PICTURE_METRICS)
 }
 
 
