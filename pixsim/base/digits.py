@@ -15,7 +15,7 @@ _ONE_DIGIT_ERRORS = (0.01, 1.0)  # errors that have one digit: a hundredth of a 
 _MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
 _SMALL_SIDE = 0.1  # of a pixel in micrometres; smaller ones have two digits
-MAX_PROBABILITY = 0.999  # the largest probability that is stated
+_MAX_PROBABILITY = 0.999  # the largest probability that is stated
 _PLAIN_DECADES = (-4, 15)  # powers of ten of numbers that are written without one
 
 
@@ -176,7 +176,7 @@ def probability(share: float, pairs: int) -> str:
     """
     if math.isnan(share):
         return UNKNOWN
-    limit = min(MAX_PROBABILITY, 1 - 0.5**pairs)
+    limit = min(_MAX_PROBABILITY, 1 - 0.5**pairs)
     if share > limit:
         return f"> {_share(math.floor(1e3 * limit) / 1e3)}"
     if share < 1 - limit:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _Class = TypeVar("_Class", bound=type)
-PIXSIM_ERROR = "allowed"  # the kind of error of the validators below
+_PIXSIM_ERROR = "allowed"  # the kind of error of the validators below
 
 
 def checked(function: Function, name: str) -> Function:
@@ -221,7 +221,7 @@ def _validated(function: Callable[[Any], Any]) -> Any:
 def _invalid_value(got: object, allowed: str) -> Exception:
     from pydantic_core import PydanticCustomError
 
-    return PydanticCustomError(PIXSIM_ERROR, "{allowed}", {"allowed": allowed, "got": got})
+    return PydanticCustomError(_PIXSIM_ERROR, "{allowed}", {"allowed": allowed, "got": got})
 
 
 # --- kinds of values
@@ -402,7 +402,7 @@ def _problem(
     allowed: list[str] = []
     for problem in problems:
         context = problem.get("ctx", {})
-        if problem["type"] == PIXSIM_ERROR:
+        if problem["type"] == _PIXSIM_ERROR:
             if len(problems) == 1:
                 got = context["got"]
             allowed.append(context["allowed"])

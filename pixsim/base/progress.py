@@ -16,7 +16,7 @@ from pixsim.base.errors import printable
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
 LINE_INTERVAL_S = 5.0  # between two lines of a stage
-MIN_DONE = 0.1  # done, before the time left is told
+_MIN_DONE = 0.1  # done, before the time left is told
 POLL_S = 0.5  # between two looks at the clock
 
 
@@ -116,7 +116,7 @@ class Lines:
         if done < self._done:  # it begins again, as for a finer film
             self._part_s = self._clock()
         self._done, left = done, ""
-        if MIN_DONE <= done < 1:
+        if _MIN_DONE <= done < 1:
             left = (
                 f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s"
                 " left"

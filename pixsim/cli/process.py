@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import NoReturn
 
-SIGNAL_WORDS = {
+_SIGNAL_WORDS = {
     "SIGINT": "interrupted",
     "SIGTERM": "terminated",
     "SIGHUP": "the terminal was closed",
 }
 # Windows has no SIGHUP
 _WORDS_OF_SIGNAL = {
-    getattr(signal, name): words for name, words in SIGNAL_WORDS.items() if hasattr(signal, name)
+    getattr(signal, name): words for name, words in _SIGNAL_WORDS.items() if hasattr(signal, name)
 }
 _IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
 # the exit code of a shell for a process that a signal ended, less the signal's number

@@ -265,7 +265,7 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
         title=" against ".join(result.names),
         data=data(result),
         answers=answers,
-        lead=(Plot(lambda: scores_plate(result)), *facts(result), common, *new_notes),
+        lead=(Plot(lambda: _scores_plate(result)), *facts(result), common, *new_notes),
         about=(DELTA_E,) if judged_by_delta_e(result.job.base[0]) else (),
         data_file=_JSON_FILE,
     )
@@ -375,7 +375,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     " interval, at each value of the axes. The film's error is not in it. The table has each"
     " frame.",
 )
-def scores_plate(result: Comparison) -> Drawing:
+def _scores_plate(result: Comparison) -> Drawing:
     """Draw the differences of the later sensors from the first one by the first metric.
 
     Its table has the number of each frame, under conditions their weighted mean.
@@ -632,7 +632,7 @@ def _sections(result: Comparison, scale_end_delta_e: float) -> Iterator[Section]
     yield Section(
         "differences",
         "Differences",
-        [*tables, Plot(lambda: scores_plate(result)), _PAIRED.format(job.repeats)],
+        [*tables, Plot(lambda: _scores_plate(result)), _PAIRED.format(job.repeats)],
     )
     if judged_by_delta_e(job.base[0]):
         yield _detail(result, scale_end_delta_e)
@@ -799,7 +799,7 @@ def _condition_table(condition: Condition) -> DocumentTable:
 
 PRESENTER = Presenter(
     document=comparison_document,
-    figure=scores_plate,
+    figure=_scores_plate,
     csv=_comparison_csv,
     page=lambda result, _: comparison_page(result),
 )

@@ -49,7 +49,7 @@ FILES = ("report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES))
 
 
 @figure("photon_transfer", "Photon transfer: the slope is the system gain K.")
-def photon_transfer_plate(sheet: DataSheet) -> Drawing:
+def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
     """Temporal variance against mean signal, both minus the dark."""
     transfer, signal = sheet.transfer, sheet.signal_dn
     expected, expected_variance = sheet.expected
@@ -77,7 +77,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Drawing:
 
 
 @figure("responsivity", "Responsivity R: the slope of signal over photons.")
-def responsivity_plate(sheet: DataSheet) -> Drawing:
+def _responsivity_plate(sheet: DataSheet) -> Drawing:
     """Mean signal against photons."""
     transfer, photons = sheet.transfer, sheet.light.at
     fitted_dn = transfer.responsivity_dn_per_p.value * photons
@@ -91,7 +91,7 @@ def responsivity_plate(sheet: DataSheet) -> Drawing:
 
 
 @figure("snr", "Signal over noise. The dynamic range lies between the vertical lines.")
-def snr_plate(sheet: DataSheet) -> Drawing:
+def _snr_plate(sheet: DataSheet) -> Drawing:
     """SNR with temporal noise and with total noise against photons, log-log."""
     transfer, rising = sheet.transfer, sheet.rising
     signal = rising.mean_dn - sheet.dark.mean_dn
@@ -124,7 +124,7 @@ def snr_plate(sheet: DataSheet) -> Drawing:
 @figure(
     "linearity", "Deviation from a straight line, 5 to 95 % of saturation. Bars: standard error."
 )
-def linearity_plate(sheet: DataSheet) -> Drawing:
+def _linearity_plate(sheet: DataSheet) -> Drawing:
     """Relative deviation of the mean signal from a straight line, in the range that counts."""
     linearity, light = sheet.linearity, sheet.light
     error_percent = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
@@ -147,7 +147,7 @@ def linearity_plate(sheet: DataSheet) -> Drawing:
 @figure(
     "dark_current", "Dark current: the slopes of mean and variance, and its rise with temperature."
 )
-def dark_current_plate(sheet: DataSheet) -> Drawing:
+def _dark_current_plate(sheet: DataSheet) -> Drawing:
     """Mean and variance of dark frames against integration time, and dark current against
     temperature.
     """
@@ -195,7 +195,7 @@ def deviations(sheet: DataSheet) -> dict[str, Array]:
 
 
 @figure("histograms", "Histograms of the mean dark image and response.")
-def histogram_plate(sheet: DataSheet) -> Drawing:
+def _histogram_plate(sheet: DataSheet) -> Drawing:
     """Logarithmic histograms of the stacks' mean images, with normal distributions of the same
     spread.
     """
@@ -240,7 +240,7 @@ def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
 
 
 @figure("spectrograms", "Spectrograms along rows (horizontal) and columns (vertical).")
-def spectrogram_plate(sheet: DataSheet) -> Drawing:
+def _spectrogram_plate(sheet: DataSheet) -> Drawing:
     """Square roots of the power spectra along rows and columns, drawn from the first period on."""
     table: dict[str, Array] = {}
     panels = []
@@ -260,7 +260,7 @@ def spectrogram_plate(sheet: DataSheet) -> Drawing:
 
 
 @figure("profiles", "Means of columns and rows minus the overall mean.")
-def profile_plate(sheet: DataSheet) -> Drawing:
+def _profile_plate(sheet: DataSheet) -> Drawing:
     """Means of the columns and of the rows of the maps."""
     table: dict[str, Array] = {
         "column_or_row": np.arange(float(max(sheet.dark_stack.mean_dn.shape)))
@@ -332,7 +332,7 @@ def datasheet_answer(sheet: DataSheet) -> Answer:
 
 
 COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit")
-TEXT_COLUMNS = (1, 5)  # columns
+_TEXT_COLUMNS = (1, 5)  # columns
 
 
 def _entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
@@ -444,7 +444,7 @@ def datasheet_document(sheet: DataSheet) -> Document:
     pixel = sheet.experiment.pixel.model_dump(exclude_defaults=True, exclude_none=True)
     settings = pairs("pixel", {name: setting_value(value) for name, value in pixel.items()})
     values = DocumentTable(
-        "measured and true values", COLUMNS, _entry_rows(sheet), words=TEXT_COLUMNS, stacks=True
+        "measured and true values", COLUMNS, _entry_rows(sheet), words=_TEXT_COLUMNS, stacks=True
     )
     return Document(
         command="datasheet",
@@ -463,13 +463,15 @@ def datasheet_document(sheet: DataSheet) -> Document:
 
 
 _PLATES = (
-    photon_transfer_plate,
-    responsivity_plate,
-    snr_plate,
-    linearity_plate,
-    dark_current_plate,
-    histogram_plate,
-    spectrogram_plate,
-    profile_plate,
+    _photon_transfer_plate,
+    _responsivity_plate,
+    _snr_plate,
+    _linearity_plate,
+    _dark_current_plate,
+    _histogram_plate,
+    _spectrogram_plate,
+    _profile_plate,
 )
-PRESENTER = Presenter(document=datasheet_document, figure=photon_transfer_plate, csv=_datasheet_csv)
+PRESENTER = Presenter(
+    document=datasheet_document, figure=_photon_transfer_plate, csv=_datasheet_csv
+)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SINGLE_FIELDS = (0, 3, 6, 8)  # of the fields, in figures of single fields
+_SINGLE_FIELDS = (0, 3, 6, 8)  # of the fields, in figures of single fields
 _PSF_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of the PSFs shown
 FIGURES = (
     "layout",
@@ -100,7 +100,7 @@ def layout(data: LensData) -> Drawing:
 
 
 def _single_fields(data: LensData) -> list[int]:
-    return [index for index in SINGLE_FIELDS if index < data.field_deg.size]
+    return [index for index in _SINGLE_FIELDS if index < data.field_deg.size]
 
 
 def _field_panels(
@@ -118,7 +118,7 @@ def _field_panels(
 
 
 @figure("spots", "Spots around the chief ray; y points away from the axis.")
-def spot_plate(data: LensData) -> Drawing:
+def _spot_plate(data: LensData) -> Drawing:
     """Draw the spots of some fields on one scale, with the first dark ring of diffraction."""
     from matplotlib.patches import Circle
 
@@ -153,7 +153,7 @@ def spot_plate(data: LensData) -> Drawing:
     "Point spread functions: the square root of the irradiance over its maximum. The table has"
     " block means.",
 )
-def psf_plate(data: LensData) -> Drawing:
+def _psf_plate(data: LensData) -> Drawing:
     """Show the point spread functions of some fields on one scale."""
     figure, panels = _field_panels(data, 2.7)
     largest_um = max(data.spots[index].rms_um for index in panels if not data.dark[index])
@@ -207,7 +207,7 @@ def _mtf_lines(
 
 
 @figure("mtf", "MTF: tangential (lines across the radius) and sagittal (lines along it).")
-def mtf_plate(data: LensData) -> Drawing:
+def _mtf_plate(data: LensData) -> Drawing:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     table = {"frequency_lp_per_mm": data.frequency_lp_per_mm, "diffraction": data.diffraction_mtf}
     angles = {index: data.field_deg[index] for index in _single_fields(data)}
@@ -228,7 +228,7 @@ def mtf_plate(data: LensData) -> Drawing:
 
 
 @figure("mtf_over_field", "MTF against image height.")
-def mtf_over_field(data: LensData) -> Drawing:
+def _mtf_over_field(data: LensData) -> Drawing:
     """Plot the MTF at the frequencies of the tables against image height."""
     table = {"field_deg": data.field_deg, "image_height_mm": data.height_mm}
     curves = [
@@ -301,13 +301,13 @@ def _curve_drawing(data: LensData, name: str) -> Drawing:
 @figure(
     "field_curvature", "Foci of rays near the chief ray; distortion relative to a very small image."
 )
-def curvature_plate(data: LensData) -> Drawing:
+def _curvature_plate(data: LensData) -> Drawing:
     """Plot the tangential and sagittal foci and the distortion against the field angle."""
     return _curve_drawing(data, "field_curvature")
 
 
 @figure("illumination", "Relative illumination, and chief ray angle in image space.")
-def illumination_plate(data: LensData) -> Drawing:
+def _illumination_plate(data: LensData) -> Drawing:
     """Plot the relative illumination and the chief ray angle against image height."""
     return _curve_drawing(data, "illumination")
 
@@ -317,7 +317,7 @@ def illumination_plate(data: LensData) -> Drawing:
     "Heights of chief rays, longest minus shortest wavelength; paraxial focus relative to that of"
     " the primary wavelength.",
 )
-def colour_plate(data: LensData) -> Drawing:
+def _colour_plate(data: LensData) -> Drawing:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
     return _curve_drawing(data, "colour")
 
@@ -329,9 +329,9 @@ def lens_document(data: LensData) -> Document:
     """Return the page of a lens: its layout, first-order data and fields, and further figures."""
     prescription = data.lens.prescription
     over_field = (
-        (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
+        (_mtf_over_field, _curvature_plate, _illumination_plate) if data.field_deg.size > 1 else ()
     )
-    figures = spot_plate, psf_plate, mtf_plate, *over_field, colour_plate
+    figures = _spot_plate, _psf_plate, _mtf_plate, *over_field, _colour_plate
     source = (
         f"Source: {prescription.source or 'not stated'}. Radius of the stop:"
         f" {data.lens.stop_semi_diameter_mm:.5g} mm."

@@ -405,8 +405,8 @@ def axis_plates(result: CasesResult) -> list[Plate]:
     the least mean ΔE.
     """
     grid = Grid(result)
-    plates = [draw(grid, scale) for scale in grid.scales for draw in (optimum_along, map_along)]
-    plates += [map_of_two(grid, across, up) for across, up in combinations(grid.scales, 2)]
+    plates = [draw(grid, scale) for scale in grid.scales for draw in (_optimum_along, map_along)]
+    plates += [_map_of_two(grid, across, up) for across, up in combinations(grid.scales, 2)]
     return [
         plate.named(name) for plate, name in zip(plates, plate_names(result.study), strict=False)
     ]
@@ -418,7 +418,7 @@ def axis_plates(result: CasesResult) -> list[Plate]:
     " tried. Hollow: the best size is not known, since it is at an end of the sizes tried or the"
     " film cannot tell sizes apart. Points of one value stand side by side.",
 )
-def optimum_along(grid: Grid, scale: Scale) -> Drawing:
+def _optimum_along(grid: Grid, scale: Scale) -> Drawing:
     """Plot the optimum with its interval along an axis, a line for each technology, condition and
     value of the other axes.
     """
@@ -584,7 +584,7 @@ def _draw_best_sizes(axes: Axes, panel: Panel, scale: Scale) -> None:
     " as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes"
     " tried or the film cannot tell sizes apart.",
 )
-def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
+def _map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
     """Draw the optimum over two axes, with contours of the best value, in panels."""
     from matplotlib.patches import Rectangle
 

@@ -24,7 +24,7 @@ _ORDER = (
     "Each cause is switched off in the order of the table, and stays off. Variances add; parts of"
     " the mean ΔE depend on the order."
 )
-MAX_SIZES = 6  # pixels in one figure
+_MAX_SIZES = 6  # pixels in one figure
 BAR_IN, MARGIN_IN, LEGEND_IN = 0.28, 1.1, 0.5
 
 
@@ -109,11 +109,11 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     "Noise in electrons, and parts of the mean ΔE, by cause, each switched off from above to below,"
     " of up to six pixels. The table has all pixels.",
 )
-def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
+def _budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as
     bars.
     """
-    drawn_budgets = dict(list(budgets.items())[:MAX_SIZES])
+    drawn_budgets = dict(list(budgets.items())[:_MAX_SIZES])
     count = len(drawn_budgets)
     causes = list(
         dict.fromkeys(cause for budget in drawn_budgets.values() for cause in budget.delta_e)
@@ -144,5 +144,7 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
 
 def budgets_section(budgets: Mapping[str, NoiseBudget]) -> Section:
     """Return the section of a page on noise budgets; empty without them."""
-    blocks = (budget_table(budgets), Plot(lambda: budget_plate(budgets)), _ORDER) if budgets else ()
+    blocks = (
+        (budget_table(budgets), Plot(lambda: _budget_plate(budgets)), _ORDER) if budgets else ()
+    )
     return Section("causes", "Noise budget", blocks, brief=True)

@@ -30,19 +30,19 @@ if TYPE_CHECKING:
 def run_outline(prepared: Job[Run]) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
     planned = planned_run(prepared)
-    return common_entries(prepared, prepared.file, prepared.stated.camera) | planned
+    return _common_entries(prepared, prepared.file, prepared.stated.camera) | planned
 
 
 def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written. `planned_study` describes the
     arguments.
     """
-    return common_entries(job, job.settings.scene.file, job.settings.camera) | planned_study(
+    return _common_entries(job, job.settings.scene.file, job.settings.camera) | planned_study(
         job, jobs, types
     )
 
 
-def common_entries(
+def _common_entries(
     job: Job[Run] | Job[Study], source: str, options: CameraOptions
 ) -> dict[str, Any]:
     """Return the entries that runs and studies share.

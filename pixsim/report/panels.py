@@ -26,7 +26,7 @@ _HEIGHT_IN = 4.0
 BETWEEN_SHARED_IN, TICKS_SHARED = (0.4, 4)
 _MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
-NO_KEYWORDS: Mapping[str, Any] = {}
+_NO_KEYWORDS: Mapping[str, Any] = {}
 LINE: Mapping[str, Any] = {"marker": ""}
 MARKED_LINE: Mapping[str, Any] = {}  # with the markers of its look
 POINTS: Mapping[str, Any] = {"ls": "", "markevery": 1, "mfc": "none"}
@@ -58,8 +58,8 @@ class LinePanel(NamedTuple):
     x: str
     y: str
     lines: Sequence[Line]
-    marks: Mapping[str, float] = NO_KEYWORDS
-    axes: Mapping[str, Any] = NO_KEYWORDS
+    marks: Mapping[str, float] = _NO_KEYWORDS
+    axes: Mapping[str, Any] = _NO_KEYWORDS
     legend: Literal["best", "lower right"] = "best"
 
 

@@ -188,7 +188,7 @@ class RunFiles(NamedTuple):
         )
 
 
-DEFAULT_FILES = RunFiles()
+_DEFAULT_FILES = RunFiles()
 
 
 def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
@@ -216,7 +216,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
 
 
 def run_page(
-    result: RunResult, files: RunFiles = DEFAULT_FILES, progress: Progress | None = None
+    result: RunResult, files: RunFiles = _DEFAULT_FILES, progress: Progress | None = None
 ) -> Document:
     """Return the document of a run with its page and all other files.
 

@@ -37,8 +37,8 @@ def sfr_document(edge: EdgeResponse) -> Document:
         data=data,
         terminal=(answer,),
         answers=(answer,),
-        lead=(Plot(lambda: sfr_plate(edge)), *edge.notes),
-        sections=(Section("edge", "The edge", (Plot(lambda: edge_plate(edge)),)),),
+        lead=(Plot(lambda: _sfr_plate(edge)), *edge.notes),
+        sections=(Section("edge", "The edge", (Plot(lambda: _edge_plate(edge)),)),),
         figures=".",
     )
 
@@ -142,7 +142,7 @@ def _sfr_table(edge: EdgeResponse) -> dict[str, Array]:
 
 
 @figure("sfr", "SFR (ISO 12233) and its 95 % interval.")
-def sfr_plate(edge: EdgeResponse) -> Drawing:
+def _sfr_plate(edge: EdgeResponse) -> Drawing:
     """Plot the SFR against frequency, with the Nyquist frequency and the MTF50."""
     table = _sfr_table(edge)
     x, scale, unit = "frequency_cy_per_px", 1.0, "cycles/pixel"
@@ -171,7 +171,7 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
 
 
 @figure("edge_spread", "Edge spread function.")
-def edge_plate(edge: EdgeResponse) -> Drawing:
+def _edge_plate(edge: EdgeResponse) -> Drawing:
     """Plot the edge spread function."""
     table = {"distance_px": edge.distance_px, "mean": edge.edge_spread}
     panel = LinePanel(
@@ -187,4 +187,4 @@ def _sfr_csv(edge: EdgeResponse) -> str:
     return table_csv({name: values.tolist() for name, values in _sfr_table(edge).items()})
 
 
-PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=_sfr_csv)
+PRESENTER = Presenter(document=sfr_document, figure=_sfr_plate, csv=_sfr_csv)

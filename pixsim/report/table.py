@@ -74,7 +74,7 @@ def _table_document(table: Table) -> Document:
             table="table.csv",
         ),
         answers=(Answer(answer),),
-        lead=(Plot(lambda: table_plate(table)),),
+        lead=(Plot(lambda: _table_plate(table)),),
         sections=(Section("means", "Means", (_means_table(table, means),), brief=True),),
         files={"table.csv": _table_text(table)},
     )
@@ -98,7 +98,7 @@ def _means_table(table: Table, means: list[_SizeMeans]) -> DocumentTable:
     "metric",
     "The first metric against pixel size: means over the sensors of each size, a line a case.",
 )
-def table_plate(table: Table) -> Drawing:
+def _table_plate(table: Table) -> Drawing:
     """Plot the first metric against pixel size, a line a case."""
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
@@ -138,4 +138,4 @@ def _table_text(table: Table) -> str:
     return csv_text(chain([first, first.values()], (row.values() for row in rows)))
 
 
-PRESENTER = Presenter(document=_table_document, figure=table_plate, csv=_table_text)
+PRESENTER = Presenter(document=_table_document, figure=_table_plate, csv=_table_text)

@@ -56,7 +56,7 @@ def results_csv(result: ResultsComparison) -> str:
     "differences",
     "Differences of the second result from the first one by the first metric, with 95 % intervals.",
 )
-def differences_plate(result: ResultsComparison) -> Drawing:
+def _differences_plate(result: ResultsComparison) -> Drawing:
     """Draw the difference by the first metric at each place."""
     metric = result.differences[0].pairs.metric
     differences = [pair for pair in result.differences if pair.pairs.metric.name == metric.name]
@@ -136,4 +136,4 @@ def _differences_table(result: ResultsComparison) -> DocumentTable:
     return DocumentTable("differences", head, rows, words=tuple(range(1, len(labels) + 1)))
 
 
-PRESENTER = Presenter(document=results_document, figure=differences_plate, csv=results_csv)
+PRESENTER = Presenter(document=results_document, figure=_differences_plate, csv=results_csv)

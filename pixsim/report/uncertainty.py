@@ -16,7 +16,7 @@ from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, Uncerta
 
 _MAX_BARS = 30  # of a histogram
 _MAX_SECTIONS = 20  # technologies × values × conditions with a section of the page
-TYPES_EXPLAINED = (
+_TYPES_EXPLAINED = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at"
     " once. Each draw is a sensor type; the study finds its optimum. All types have the same random"
     " numbers, so that they differ by their inputs only. "
@@ -46,7 +46,7 @@ def uncertainty_sections(results: Sequence[UncertaintyResult]) -> Iterator[Secti
         yield Section(
             f"types-{number}",
             title,
-            (TYPES_EXPLAINED, distribution_plot, _SHARES_EXPLAINED, shares_table(result), types),
+            (_TYPES_EXPLAINED, distribution_plot, _SHARES_EXPLAINED, shares_table(result), types),
         )
 
 

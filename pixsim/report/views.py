@@ -22,7 +22,7 @@ from pixsim.show.pictures import (
 from pixsim.studies.curve import Curve
 from pixsim.studies.result import StudyResult
 
-LOWEST_ERROR = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
+_LOWEST_ERROR = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
         outputs.append(replace(whole_picture(score.image, f"{name}, {size}"), note=mean))
         details.append(crops(score, window, name, end))
 
-    title = f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LOWEST_ERROR}"
+    title = f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {_LOWEST_ERROR}"
     return Views(
         label=curve.label,
         file_label=curve.file_label,
@@ -127,5 +127,5 @@ def rank(curve: Curve, index: int) -> str:
     elif index == 0:
         words.append("smallest")
     if index == best_index(curve):
-        words.append(LOWEST_ERROR)
+        words.append(_LOWEST_ERROR)
     return ", ".join(words)

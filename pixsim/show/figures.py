@@ -204,7 +204,7 @@ def literal(text: str) -> str:
     A character that the font does not have is drawn as one that is missing, without a warning for
     each figure.
     """
-    characters = font_characters()
+    characters = _font_characters()
     printable = "".join(
         character if character.isprintable() and ord(character) in characters else "\ufffd"
         for character in text
@@ -214,7 +214,7 @@ def literal(text: str) -> str:
 
 @cache
 @pixsim_style()
-def font_characters() -> frozenset[int]:
+def _font_characters() -> frozenset[int]:
     """Return the characters of the figures' font."""
     from matplotlib.font_manager import FontProperties, findfont, get_font
 

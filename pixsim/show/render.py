@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
-MAX_UNBROKEN_WORDS = 4  # words of a number and its unit that stay on one line
-INDENT = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
+_MAX_UNBROKEN_WORDS = 4  # words of a number and its unit that stay on one line
+_INDENT = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
 _BETWEEN = "  "  # columns
-MIN_WORDS_WIDTH = 12  # to which a column of words is wrapped
+_MIN_WORDS_WIDTH = 12  # to which a column of words is wrapped
 WIDTH = 160  # columns of output that does not go to a terminal
 
 
@@ -56,11 +56,11 @@ def text(document: Document, width: int = WIDTH) -> str:
     """Return the lines for a terminal of so many columns."""
     blocks = enumerate(document.terminal or (*document.answers, *document.lead, *document.brief))
     return "\n".join(
-        line for number, block in blocks for line in lines(block, width, INDENT if number else "")
+        line for number, block in blocks for line in lines(block, width, _INDENT if number else "")
     )
 
 
-def lines(block: Block, width: int = WIDTH, indent: str = INDENT) -> Iterator[str]:
+def lines(block: Block, width: int = WIDTH, indent: str = _INDENT) -> Iterator[str]:
     """Yield the lines of a block for a terminal, which shows no figures and pictures.
 
     width : columns that tables may take
@@ -69,13 +69,13 @@ def lines(block: Block, width: int = WIDTH, indent: str = INDENT) -> Iterator[st
     match block:
         case Answer():
             yield plain_text(block.head)
-            yield from (INDENT + plain_text(part) for part in block.below)
+            yield from (_INDENT + plain_text(part) for part in block.below)
         case Fact():
             yield plain_text(block.text)
         case Note():
             yield f"note: {block}"
         case Listed():
-            yield from (INDENT + plain_text(item) for item in block.items)
+            yield from (_INDENT + plain_text(item) for item in block.items)
         case DocumentTable():
             yield from _table_lines(block, width, indent)
         case Section():
@@ -94,7 +94,7 @@ def _table_lines(table: DocumentTable, width: int, indent: str) -> Iterator[str]
     rows = [row[:count] for row in rows]
     words = range(count) if table.words is None else (0, *table.words)
     if any(len(row) == 1 for row in rows):
-        indent = INDENT
+        indent = _INDENT
 
     # Widths of the columns, by the rows that have all of them. The widest column of words is made
     # narrower until all fit.
@@ -102,7 +102,7 @@ def _table_lines(table: DocumentTable, width: int, indent: str) -> Iterator[str]
     widths = [max(map(len, column)) for column in zip(*full_rows, strict=True)]
     max_width = width - len(indent) - len(_BETWEEN) * (count - 1)
     while sum(widths) > max_width:
-        shrinkable = [column for column in words if widths[column] > MIN_WORDS_WIDTH]
+        shrinkable = [column for column in words if widths[column] > _MIN_WORDS_WIDTH]
         if not shrinkable:
             break
         widths[max(shrinkable, key=widths.__getitem__)] -= 1
@@ -185,7 +185,7 @@ def _marked(text: Text) -> Markup:
         marked = Markup(CODE.sub(r"<code>\1</code>", str(escape(words))))
         match part:
             case Strong():
-                kind = "" if len(words.split()) <= MAX_UNBROKEN_WORDS else ' class="words"'
+                kind = "" if len(words.split()) <= _MAX_UNBROKEN_WORDS else ' class="words"'
                 return Markup(f"<b{kind}>{marked}</b>")
             case Link():
                 return Markup('<a href="{}">{}</a>').format(quote(part.address), marked)

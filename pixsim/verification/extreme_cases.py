@@ -43,9 +43,9 @@ from pixsim.viewer.scielab import Filters, delta_e_map, filtered_grey_lab, filte
 
 Row = tuple[Any, ...]  # the fields of a KnownAnswer
 
-NO_ARGUMENTS = ((),)  # inputs of a call without arguments
+_NO_ARGUMENTS = ((),)  # inputs of a call without arguments
 SIGMAS = 5.0  # limit of random samples, in standard errors
-RANDOM_SAMPLES = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
+_RANDOM_SAMPLES = "fixed seed; limit 5σ, a false-alarm rate of 6e-7 with other seeds"
 _EPS = 2.2e-16  # of float64
 ROUNDING = 1e-12  # of a few hundred operations in float64
 _FLOAT32_ROUNDING = 2e-7  # the irradiance is stored in float32
@@ -321,7 +321,7 @@ def spectra() -> list[Row]:
 # --- Light from zero to far beyond saturation ---
 
 # Parameters of a pixel with photon shot noise alone
-SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
+_SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
     (
         "dark_current_e_per_s",
         "read_noise_e",
@@ -333,7 +333,7 @@ SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
     ),
     0,
 )
-GREEN = SHOT_NOISE_ONLY | {
+GREEN = _SHOT_NOISE_ONLY | {
     "quantum_efficiency": 0.5,
     "fill_factor": 0.5,
     "full_well_e": 65_535,
@@ -428,7 +428,7 @@ def light() -> list[Row]:
             SIGMAS,
             # A mean of 1e-6 gives 0.2 electrons in all pixels together; three or more exceed the
             # limit.
-            f"Poisson: both are the mean; {RANDOM_SAMPLES}, 1e-3 at a mean of 1e-6",
+            f"Poisson: both are the mean; {_RANDOM_SAMPLES}, 1e-3 at a mean of 1e-6",
             enumerate([1e-6, 1e-3, 1.0, 30.0, 1e4, 0.99e9, 1.01e9, 1e12, 1e15]),
             lambda seed, mean_e: _moment_errors(mean_e, 200_000, mean_e),
         ),
@@ -445,7 +445,7 @@ def light() -> list[Row]:
             lambda mean_e: capture(mean_e, GREEN).dn.mean(),
             lambda mean_e: poisson.sf(np.arange(65_535), mean_e).sum(),
             SIGMAS,
-            f"Σ min(n, well) P(n) over Poisson counts; {RANDOM_SAMPLES}, each of 6",
+            f"Σ min(n, well) P(n) over Poisson counts; {_RANDOM_SAMPLES}, each of 6",
             [0.01, 1.0, 1e3, 65_535.0, 7e4, 1e9],
             lambda mean_e: np.sqrt(min(mean_e, 65_535) / COUNT),
         ),
@@ -502,7 +502,7 @@ def light() -> list[Row]:
 # --- Sensors: pixels of 0.3 to 100 µm, 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, gains of 0 to 60 dB
 # ---
 
-SENSOR = SHOT_NOISE_ONLY | {"fill_factor": 0.5}
+SENSOR = _SHOT_NOISE_ONLY | {"fill_factor": 0.5}
 # Pitch in µm, full well of a junction of the 0.35 µm process that covers half of the pixel.
 JUNCTION_WELLS_E = (
     (0.3, 14696.568501851178),
@@ -512,7 +512,7 @@ JUNCTION_WELLS_E = (
     (100.0, 23548815.638200372),
 )
 _TEMPERATURES_K = (77.0, 150.0, 250.0, 300.15, 350.0, 400.0)
-NOISY_PIXELS: tuple[dict[str, Any], ...] = (
+_NOISY_PIXELS: tuple[dict[str, Any], ...] = (
     {},
     {"technology": "4t-bsi", "pitch_um": 2.8},
     {"well_limit": "diode"},
@@ -566,7 +566,7 @@ def sensor() -> list[Row]:
             "full well of a pinned photodiode, pitch 0.3 … 100 µm, FF 1e-12 … 1",
             lambda pitch_um, fill: (
                 physics_of(
-                    SHOT_NOISE_ONLY
+                    _SHOT_NOISE_ONLY
                     | {"technology": "4t-bsi", "pitch_um": pitch_um, "fill_factor": fill}
                 ).full_well_e
             ),
@@ -615,7 +615,7 @@ def sensor() -> list[Row]:
             lambda options, wells: wells > 1,
             0.0,
             "all and none: the full well is 30 σ of shot noise and PRNU away",
-            product(NOISY_PIXELS, [14.0, 0.5]),
+            product(_NOISY_PIXELS, [14.0, 0.5]),
         ),
         (
             "saturated pixels under one full well, default pixel",
@@ -624,7 +624,7 @@ def sensor() -> list[Row]:
             SIGMAS,
             (
                 "P(N ≥ full well) + Σ P(N = n < full well) P(noise raises n to the top code);"
-                f" {RANDOM_SAMPLES}"
+                f" {_RANDOM_SAMPLES}"
             ),
             [({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0}, 1.0)],
             math.sqrt(SATURATED_SHARE * (1 - SATURATED_SHARE) / COUNT),
@@ -664,8 +664,8 @@ def sensor() -> list[Row]:
             lambda: moments(capture(0.5e12, large_well).dn, WIDE_DN),
             [WIDE_DN, WIDE_DN2],
             SIGMAS,
-            f"black level + half of the codes above it; shot noise + 1/12; {RANDOM_SAMPLES}",
-            NO_ARGUMENTS,
+            f"black level + half of the codes above it; shot noise + 1/12; {_RANDOM_SAMPLES}",
+            _NO_ARGUMENTS,
             _moment_errors(WIDE_DN2, COUNT),
         ),
         (
@@ -675,7 +675,7 @@ def sensor() -> list[Row]:
             SIGMAS,
             (
                 "black level and light; (before · gain)² + after² + shot noise + 1/12, in codes;"
-                f" {RANDOM_SAMPLES}"
+                f" {_RANDOM_SAMPLES}"
             ),
             product([0.0, 0.1, 6.0, 20.0, 40.0, 60.0], [0.0, 0.5]),
             lambda gain_db, share: _moment_errors(amplified_variance_dn2(gain_db, share), COUNT),
@@ -715,7 +715,7 @@ def sensor() -> list[Row]:
             SIGMAS,
             # The fourth cumulant of a gamma variable of mean 1 is 6 s⁶; 1e-15 is the rounding of
             # values near 1.
-            f"1 and DSNU²; {RANDOM_SAMPLES}",
+            f"1 and DSNU²; {_RANDOM_SAMPLES}",
             enumerate([1e-9, 0.02, 0.3, 1.0]),
             lambda seed, dsnu: (
                 _moment_errors(dsnu**2, COUNT, 6 * dsnu**6) + 1e-15 * np.array([1, 1e-10])
@@ -836,7 +836,7 @@ SIDE, LONG = 64, 20_000  # samples
 # The rounding of a running sum of n cells is proportional to n, and the spline amplifies it:
 # measured 5 to 20 eps n.
 _RUNNING_SUM_ROUNDING = 50 * _EPS
-ROUNDING_OF_SUM = 4 * _EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
+_ROUNDING_OF_SUM = 4 * _EPS * SIDE  # for sums over all pixels, in which the spline's part cancels
 
 
 def _random_picture(*shape: int) -> Array:
@@ -878,7 +878,7 @@ def integration() -> list[Row]:
             ),
             lambda samples, ratio: integrate_pixels(samples, 1.0, ratio, ratio).sum(),
             lambda samples, ratio: samples.sum(),
-            ROUNDING_OF_SUM,
+            _ROUNDING_OF_SUM,
             "conservation; roundings of sums",
             [
                 *product([picture], [1.0, 1 + _ALMOST_INTEGER, 1 / 3, 4 / 7, SIDE]),
@@ -926,7 +926,7 @@ def integration() -> list[Row]:
             _wave_means(20, math.pi, 0.6 * math.pi) * (0.6 * math.pi) ** 2,
             2e-4,
             "closed form; error of the quintic spline, 0.02 %",
-            NO_ARGUMENTS,
+            _NO_ARGUMENTS,
             1.0,
         ),
         (
@@ -935,7 +935,7 @@ def integration() -> list[Row]:
                 picture, 1.0, 0.0, np.linspace(0.0, SIDE, dots + 1), degree, axis=0
             ).mean(axis=0),
             picture.mean(axis=0),
-            ROUNDING_OF_SUM,
+            _ROUNDING_OF_SUM,
             "conservation",
             product([0, 1], [1, 3, 37, 64, 200, 4096]),
         ),
@@ -948,7 +948,7 @@ def integration() -> list[Row]:
 _DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
 # Smaller than the widest Gaussian, 4.3°
 _VIEWED_SHAPES = ((1, 1), (2, 1), (1, 9), (3, 5), (33, 20))
-BOTH_FILTERS = ("published", "zhang1996")
+_BOTH_FILTERS = ("published", "zhang1996")
 WHITE = np.array([95.047, 100.0, 108.883])
 THRESHOLD = (6 / 29) ** 3  # of Y/Yn, CIE 15
 # X/Xn, Y/Yn, Z/Zn and CIELAB, by the branches of CIE 15.
@@ -1039,7 +1039,7 @@ def viewer() -> list[Row]:
             _mirrored_lab,
             _LAB_ROUNDING,
             "symmetry: adding the mirror images to a picture changes nothing; ΔE, rounding",
-            product(pictures, _DENSITIES, BOTH_FILTERS),
+            product(pictures, _DENSITIES, _BOTH_FILTERS),
             1.0,
         ),
         (
@@ -1050,7 +1050,7 @@ def viewer() -> list[Row]:
             0.0,
             0.0,
             "exactly 0",
-            product(pictures, [0, -1, 1e-12, 1e12], BOTH_FILTERS),
+            product(pictures, [0, -1, 1e-12, 1e12], _BOTH_FILTERS),
         ),
         (
             "ΔE of images and white times 2^-1000 and 2^1000",
@@ -1074,7 +1074,7 @@ def viewer() -> list[Row]:
             lambda: -_viewed_lab(noise),
             _LAB_ROUNDING,
             "symmetry: CIELAB is linear through zero, without clipping; ΔE, rounding",
-            NO_ARGUMENTS,
+            _NO_ARGUMENTS,
             1.0,
         ),
         (
@@ -1247,7 +1247,7 @@ def _table_rows(process: str, temperature_k: float, time_s: float, conversion: s
             below_e,
             diodes.LINEAR_WITHIN,
             "quadrature",
-            NO_ARGUMENTS,
+            _NO_ARGUMENTS,
             well_e,
         ),
     ]

@@ -42,8 +42,10 @@ from pixsim.viewer.without_effect import UserSettings, field_names, warn_of_sett
 # Samples across the film, relative to that of a run
 EFFORTS, QUICK_EFFORTS = ((0.25, 0.5, 1.0), (0.5, 1.0))
 REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
-REFERENCE_ERROR_SHARE = 1 / 3  # of the smallest error that is shown: largest error of the reference
-MIN_ACROSS = 16
+_REFERENCE_ERROR_SHARE = (
+    1 / 3
+)  # of the smallest error that is shown: largest error of the reference
+_MIN_ACROSS = 16
 
 
 @dataclass(frozen=True)
@@ -266,7 +268,7 @@ def climb(
     if reference * across <= max_across:
         rung_efforts.append(reference)
     widths = {
-        effort: fitting_width(ratio, max(MIN_ACROSS, effort * across), max_across)
+        effort: fitting_width(ratio, max(_MIN_ACROSS, effort * across), max_across)
         for effort in rung_efforts
     }
 
@@ -284,7 +286,7 @@ def climb(
     # Errors are differences from the finest film, if its own error is small beside them.
     *rungs, finest = rungs
     errors = [abs(rung.mean_delta_e - finest.mean_delta_e) for rung in rungs]
-    if not finest.stated_delta_e < REFERENCE_ERROR_SHARE * min(errors):
+    if not finest.stated_delta_e < _REFERENCE_ERROR_SHARE * min(errors):
         return tuple(rungs), None
     with_errors = [
         replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)
