@@ -112,7 +112,7 @@ def test_read_irradiance_pixsim_exr_is_bit_identical(tmp_path):
     assert (back.pitch_um, back.header) == (image.pitch_um, image.header)
     refused(
         tmp_path / "own.exr",
-        "W.m^-2.um^-1 given",
+        "W.m^-2.um^-1 stated",
         "the same unit",
         units="W.m^-2.um^-1",
         pitch_um=None,
@@ -303,7 +303,7 @@ def test_read_irradiance_pbrt_film_is_radiance_per_nm(tmp_path):
     assert image.header["camera"] == camera.model_dump()
     assert image.header["units"] == "W.m^-2.sr^-1"
     refused(path, "radiance (W.m^-2.sr^-1) without a camera", "--camera.f-number")
-    refused(path, "W.m^-2.nm^-1 given", units=UNIT, camera=camera, pitch_um=None)
+    refused(path, "W.m^-2.nm^-1 stated", units=UNIT, camera=camera, pitch_um=None)
     flux = exr(tmp_path / "flux.exr", channels, emissiveUnits="W.m^-2")  # not the layout's unit
     refused(flux, "W.m^-2, which is not per wavelength")
 
