@@ -18,9 +18,17 @@ import pixsim
 ENUMERATOR = re.compile(r"(\(?\w{1,3}[.)] |[-+•] )")  # what would begin a list
 # Where short names are looked for.
 ROOMS = (
-    *pixsim._MODULES, *pixsim._MODULES.values(), "scene.scene", "viewer.score", "studies.result", "sensor.raw", "measure.sfr",
-    "sensor.technology", "studies.curve", "studies.optimum",
-)  # fmt: skip
+    *pixsim._MODULES,
+    *pixsim._MODULES.values(),
+    "scene.scene",
+    "viewer.score",
+    "studies.result",
+    "sensor.raw",
+    "measure.sfr",
+    "sensor.technology",
+    "studies.curve",
+    "studies.optimum",
+)
 
 
 def escaped(text: str) -> str:

@@ -4,7 +4,7 @@
 A page names each thing that it describes in an invisible comment, and the text follows, up to
 another comment:
 
-    <!-- pixsim.study -->                          a function, or a class with its fields and methods
+    <!-- pixsim.study -->                          a function, or a class with fields and methods
     <!-- pixsim.optics.glass: find_glass, … -->    functions of a module; all of them without names
     <!-- commands -->                              every command with its options
     …
@@ -166,7 +166,9 @@ def prose(thing: Any) -> Iterator[str]:
 
 def field_words(field: docstrings.Field) -> str:
     """A field's name with its type and default."""
-    return f"`{field.name}{f': {field.type}' if field.type else ''}{f' = {field.default}' if field.default else ''}`"
+    kind = f": {field.type}" if field.type else ""
+    default = f" = {field.default}" if field.default else ""
+    return f"`{field.name}{kind}{default}`"
 
 
 def listed(pairs: list[tuple[str, str]]) -> Iterator[str]:

@@ -108,7 +108,9 @@ def public_module(name: str, module: ModuleType) -> ModuleType:
         key for key, value in vars(module).items() if _is_public(key, value, module)
     ]
     facade.__all__ = list(names)  # type: ignore[attr-defined]
-    facade.__getattr__ = lambda key: public(getattr(module, key), f"{name}.{key}")  # type: ignore[method-assign]
+    facade.__getattr__ = lambda key: public(  # type: ignore[method-assign]
+        getattr(module, key), f"{name}.{key}"
+    )
     facade.__dir__ = lambda: list(names)  # type: ignore[method-assign]
     return facade
 
@@ -179,7 +181,8 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
         parts = tuple(part if part is Ellipsis else _type(part, bounds) for part in inner)
         return Annotated[tuple[parts], lax]  # type: ignore[valid-type]
     if origin in (Sequence, Iterable):
-        return Annotated[list[_type(inner[0], bounds)], BeforeValidator(_list), lax]  # type: ignore[misc]
+        items = _type(inner[0], bounds)
+        return Annotated[list[items], BeforeValidator(_list), lax]  # type: ignore[valid-type]
     if origin in (dict, Mapping):
         return Annotated[dict[str, _type(inner[1], bounds)], lax]  # type: ignore[misc]
     if inspect.isclass(hint) and hint not in (str, object, Any):

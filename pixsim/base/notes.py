@@ -137,7 +137,8 @@ def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
             collected.append(note)
         with _showing, warnings.catch_warnings():  # the filters are those of all threads
             warnings.resetwarnings()
-            warnings.filters[:] = filters  # type: ignore[index]  # a list, though typed as a sequence
+            # A list, though typed as a sequence.
+            warnings.filters[:] = filters  # type: ignore[index]
             warnings.showwarning = show
             warnings.warn_explicit(message, category, filename, lineno)
 

@@ -170,9 +170,9 @@ def run(
         Parameter(
             help=(
                 "Number of sensors of this kind, each with its own fixed pattern, noise and"
-                " position of its pixel grid on the picture. The result is their mean ΔE with its 95 %"
-                " interval. Pictures and frames are those of the first sensor, which is centred."
-                " With --tolerance-delta-e this is the minimum."
+                " position of its pixel grid on the picture. The result is their mean ΔE with its"
+                " 95 % interval. Pictures and frames are those of the first sensor,"
+                " which is centred. With --tolerance-delta-e this is the minimum."
             )
         ),
     ] = 1,

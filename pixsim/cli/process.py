@@ -180,7 +180,9 @@ def open_closed_streams() -> None:
             setattr(
                 sys,
                 name,
-                open(number, mode, encoding="utf-8", errors="backslashreplace", closefd=False),  # noqa: SIM115
+                open(  # noqa: SIM115
+                    number, mode, encoding="utf-8", errors="backslashreplace", closefd=False
+                ),
             )
 
 

@@ -107,7 +107,8 @@ def _factor(tokens: list[str]) -> Powers:
         powers = _product(tokens)
         tokens.pop(0)
     else:
-        prefix, unit = UNIT.fullmatch(token).groups()  # type: ignore[union-attr]  # None ends in NOT_A_UNIT
+        # None ends in NOT_A_UNIT.
+        prefix, unit = UNIT.fullmatch(token).groups()  # type: ignore[union-attr]
         powers = np.array(
             [unit == "W", unit == "m", unit.lower() == "sr", PREFIXES.get(prefix, 0)], np.int64
         )

@@ -629,7 +629,8 @@ def _has_pages(image: Image) -> bool:
     has not.
     """
     if image.format == "TIFF":
-        return bool(getattr(image, "tag_v2", None) and image.tag_v2.next)  # type: ignore[attr-defined]
+        tags = getattr(image, "tag_v2", None)
+        return bool(tags and tags.next)
     return image.format == "PNG" and getattr(image, "is_animated", False)
 
 

@@ -16,31 +16,11 @@ from pathlib import Path
 from helpers.measure import PACKAGE, tree
 
 PLACEHOLDERS = frozenset(
-    [
-        "own",
-        "found",
-        "told",
-        "kept",
-        "each",
-        "known",
-        "one",
-        "some",
-        "given",
-        "asked",
-        "shown",
-        "lit",
-        "met",
-        "most",
-        "least",
-        "lacking",
-        "settled",
-        "alike",
-        "reach",
-        "without",
-        "even",
-        "apart",
-        "calm",
-    ]
+    re.findall(
+        r"\w+",
+        """own found told kept each known one some given asked shown lit met most least
+        lacking settled alike reach without even apart calm""",
+    )
 )
 # Phrases of docstrings that send a reader elsewhere.
 REFERENCES = re.compile(r"\b(that of|those of|as of|also its|what is|what are|; None)\b")
