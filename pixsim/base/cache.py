@@ -303,8 +303,8 @@ def entries(kind: str | None = None) -> list[_CacheFile]:
 
 
 def _files() -> Iterator[Path]:
-    """The files in the folders of the cache that are no links; without those of another user, or
-    that are gone.
+    """Yield the files in the folders of the cache that this user can read. Folders that are links
+    are left out, and so are folders that another process has removed.
     """
     for name in os.listdir(folder()) if folder().is_dir() else ():
         kind = folder() / name

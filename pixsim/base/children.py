@@ -33,7 +33,8 @@ def leave_current_folder() -> None:
     an empty part of a variable.
 
     A folder that is named stays, also if it is the current one. So does the first folder of
-    Python's path, that of the script; for `python -m` and `python -c` it is the current one.
+    Python's path: the folder of the script, or, for `python -m` and `python -c`, the current
+    folder.
     """
     parts = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     if "" in parts and len(parts) > 1:

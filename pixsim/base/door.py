@@ -52,8 +52,8 @@ def checked(function: Function, name: str) -> Function:
     """Return a public function whose arguments are checked by their annotations; lists and numbers
     become arrays.
 
-    It raises PixsimError that names the first argument at fault, with what was got and what is
-    allowed. The check is built at the first call, so that imports take no time.
+    It raises PixsimError that names the first invalid argument, its value and the allowed values.
+    The check is built at the first call, so that imports take no time.
 
     name : under which users import it, such as `pixsim.render`
     """
@@ -191,7 +191,7 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
 
 
 def _union(kinds: Sequence[Any], bounds: Bounds | None) -> Any:
-    """Return the union of what is checked; a path may be a text, and NumPy's `ArrayLike` is an
+    """Return the union of the checked types. A path may be a text, and NumPy's `ArrayLike` is an
     array.
     """
     from numpy.typing import ArrayLike

@@ -15,7 +15,7 @@ _MAX_LENGTH = 20_000  # characters of a message
 
 
 class PixsimError(ValueError):
-    """Invalid input. The message states what was given, what is allowed and how to fix it. A
+    """Invalid input. The message states the input, the allowed values and how to fix it. A
     ValueError.
     """
 
@@ -24,8 +24,8 @@ class PixsimError(ValueError):
 
 
 class UnwritableError(PixsimError):
-    """A file that cannot be written, as on a full disk; the message names it and says what is
-    kept.
+    """A file that cannot be written, as on a full disk. The message names it, and lists the files
+    that remain.
     """
 
 
@@ -87,8 +87,8 @@ def excerpt(text: str, typed: bool = False) -> str:
 
 
 def quoted(name: str, typed: bool = False) -> str:
-    """`excerpt` of a name, as of a glass, a type or a channel, in a file that was recognised as its
-    format: plain ones are quoted.
+    """Return `excerpt` of the name of a glass, a type or a channel in a file of a recognised
+    format. Plain names are quoted.
 
     >>> quoted("N-BK7"), quoted("two words")
     ("'N-BK7'", 'a text of 9 characters')

@@ -212,8 +212,8 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def private_folder(name: str, quiet: bool = False) -> Path:
-    """A folder of the cache for what is run as code; where others could write there, one for this
-    process alone, with a warning.
+    """Return a folder of the cache for files that are run as code. If other users could write
+    there, it is a folder of this process alone, with a warning.
 
     quiet : whether another call has warned
 
@@ -252,7 +252,7 @@ def disk_faults_named(folder: Path, target: Path, advice: str) -> Iterator[None]
 
     folder : where the files are written; it is named where the error has no name
     target : where they are to be
-    advice : a sentence of the message, on what is still there or on another place
+    advice : a sentence of the message, on the files that remain or on another folder
     """
     hint = "Free some disk space, and run the same command again."
     try:
@@ -537,7 +537,7 @@ def opened(
     max_bytes : of the file. None allows `max_file_bytes`
 
     Raises PixsimError if the file is missing, unreadable, not a regular file, too large, or without
-    a size of its own, as those of /proc are: they may have no end.
+    a size. Files of /proc have none, and may have no end.
     """
     try:
         mode = os.stat(path).st_mode

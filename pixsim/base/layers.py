@@ -39,10 +39,10 @@ def merge_tables(
     ),
     whole: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Merge nested tables; values of `over` replace those of `base`.
+    """Merge nested tables; values of `over` replace values of `base`.
 
-    remaining : returns what is left of the tables `base` beside `over`, at each depth: what it
-        restates in other words may go
+    remaining : returns the part of the tables `base` that holds beside `over`, at each depth. It
+        may leave out settings that `over` restates under other names
     whole : names of tables that are one value each
     """
     merged = remaining(base, over)

@@ -5,8 +5,8 @@ The system releases such a lock (flock) when its process ends, however it ends; 
 process could be in use again, or belong to another container. Where there are no such locks
 (Windows, some network file systems), nothing is refused or removed.
 
-filelock takes them; by hand is what it does not promise: that a folder is locked by itself, that a
-lock leaves no file, and that what is no lock of pixsim stays.
+filelock takes them. This module adds three rules that filelock does not promise: a folder is locked
+by itself, a lock leaves no file, and files that are no locks of pixsim stay.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 def check_system() -> None:
-    """Raise PixsimError where folders cannot be opened, to be locked and told from links: what is
-    written would not be safe.
+    """Raise PixsimError on a system that cannot open folders, to lock them and to tell them from
+    links: files written there would not be safe.
     """
     if os.open not in os.supports_dir_fd:
         got = "a system whose folders cannot be opened (Windows)"

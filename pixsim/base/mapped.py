@@ -63,8 +63,8 @@ def release(*parts: NDArray[Any]) -> None:
 
 
 def update_with_array(digest: blake2b, array: NDArray[Any]) -> None:
-    """Add the type, the shape and the content of an array to a digest, a few rows at a time: a file
-    may have those of a picture.
+    """Add the type, the shape and the content of an array to a digest. The content is read a few
+    rows at a time, as the array may be a picture larger than the memory.
     """
     digest.update(f"{array.dtype} {array.shape}".encode())
     for part in _parts(array):

@@ -10,8 +10,8 @@ class _NoteKind(NamedTuple):
 
     template : its text, with the names of its values in braces
     doubts : whether numbers may not be of what was asked for, stated or measured. --quiet hides the
-        other notes: what is assumed where nothing is stated, what changes no number, and how sure
-        an optimum is
+        other notes: assumptions where nothing is stated, settings that change no number, and how
+        sure an optimum is
     """
 
     template: str

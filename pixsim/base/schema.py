@@ -26,8 +26,8 @@ _ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 
 
 def _schema_words(schema: object) -> str:
-    """Return what is said of a file that states another schema, or none (None, or an empty
-    text).
+    """Return the words of a message on a file that states another schema. None and an empty text
+    mean no schema.
     """
     words = "no schema" if schema in (None, "") else f"schema {str(schema)[:20]}"
     return f"{words}; this version of pixsim has schema {SCHEMA}"

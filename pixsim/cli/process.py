@@ -45,8 +45,8 @@ class _Interruption:
     Before the command begins, the process ends at once: nothing is written, nothing else runs.
     Afterwards a KeyboardInterrupt is raised, so that everything opened is closed. It is not raised
     while Python imports a module, since libraries in C++ turn it into other errors, nor while a
-    context manager is entered or left, as workers are: what is opened is then always closed. From
-    `end_or_raise` on, when the result is printed, it is not raised.
+    context manager is entered or left, as workers are: resources that were opened are then always
+    closed. From `end_or_raise` on, when the result is printed, it is not raised.
     """
 
     received: int | None = None  # number of the signal that ends the command
@@ -187,9 +187,7 @@ def open_closed_streams() -> None:
 
 
 def discard_output() -> None:
-    """Send what is still to be printed to /dev/null: the reader has closed the pipe, or the disk is
-    full.
-    """
+    """Send pending output to /dev/null: the reader has closed the pipe, or the disk is full."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # ValueError: a stream without a file
             try:

@@ -4,7 +4,7 @@ user.
 Other users see the arguments of a browser, and all ports of a machine share its cookies. So the
 browser opens a file of mode 0600, which leads to the page with a token behind "#", where no server
 sees it. The page takes it from its address, and sends it as the first message of its WebSocket.
-Host and Origin of every request are those of the page: no other site reaches the server.
+Every request has the Host and the Origin of the page: no other site reaches the server.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class _SamePage:
 
 
 class Pages:
-    """The one page that is open, and what is sent to it."""
+    """The open page, and the messages sent to it."""
 
     def __init__(self, session: Session, token: str) -> None:
         self.session = session

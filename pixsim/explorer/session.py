@@ -150,7 +150,7 @@ class Session:
         }
 
     def ask(self, request: PageRequest) -> None:
-        """Drop what is asked for now, and compute this."""
+        """Drop the current request, and compute this one."""
         self._request = request
         self._wake.set()
 
@@ -160,7 +160,7 @@ class Session:
         self._wake.set()
 
     def serve(self) -> None:
-        """Compute what is asked for until `end` is called."""
+        """Compute the requests until `end` is called."""
         answered = None
         while not self._ended:
             self._wake.wait(0.5)  # not for ever at once: some systems would then take no Ctrl-C
@@ -261,7 +261,7 @@ class Session:
         )
 
     def _stage(self, request: PageRequest) -> Callable[[str], Progress]:
-        """Return stages that tell the page what is done, and end when other settings come."""
+        """Return stages that send their progress to the page, and end when other settings come."""
 
         def stage(name: str) -> Progress:
             def progress(done: float = 0.0, note: str = "") -> None:

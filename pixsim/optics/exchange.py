@@ -127,8 +127,8 @@ def camera_of_light(
 
     path : of its file, for messages
 
-    Raises PixsimError if its pitch and the die contradict each other, and for another lens than
-    that of a render.
+    Raises PixsimError if the camera's pitch and die contradict each other, and for rendered light
+    with a lens other than the lens of the render.
     """
     if "camera" in image.header and lens.file is not None:
         got = f"'{lens.file}' for light of '{path}', which came through its own"

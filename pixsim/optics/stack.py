@@ -180,7 +180,7 @@ def stack_collection(
     """Return the share of the light on a pixel that its own photodiode and its neighbours' collect,
     (3, 3) [dy + 1, dx + 1].
 
-    It is geometric, without diffraction; what is missing to 1 is lost or lands further away. The
+    It is geometric, without diffraction. The share missing to 1 is lost or lands further away. The
     phase space behind it is after P. B. Catrysse and B. A. Wandell, J. Opt. Soc. Am. A 19 (2002)
     1610.
 

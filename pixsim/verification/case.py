@@ -54,7 +54,7 @@ class KnownAnswer:
         returns. None takes the last of the arguments, which `call` does not get
     tolerance : largest error, relative to `scale`
     source : of the expected value, and the reason of the tolerance
-    inputs : the arguments of each call; what is no tuple is the only argument
+    inputs : the arguments of each call; a value that is not a tuple is the only argument
     scale : as `expected`. None is the expected value, and zeros must match exactly
     """
 

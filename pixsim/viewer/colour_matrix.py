@@ -14,10 +14,10 @@ lamp of the scene, with that lamp as white, over the 18 chromatic patches (ISO 1
 
 That a matrix which is right in colour amplifies noise is well known, and so are fits that weigh
 both: P. L. Vora and C. Herley, ICIP (1998); Y.-P. Tan and T. Acharya, US patent application
-2003/0194128; S. H. Lim and A. Silverstein, CIC 12 (2004) 76. Here both parts have one unit, that of
-ΔE, and no weight is free. To observers, noise had 40 % or less of the effect of a colour difference
-of the same ΔE (H. Kuniba and R. S. Berns, CIC 16 (2008) 232): the covariance should be that of what
-they see, of means over a dot.
+2003/0194128; S. H. Lim and A. Silverstein, CIC 12 (2004) 76. Here both parts are in ΔE, and no
+weight is free. To observers, noise had 40 % or less of the effect of a colour difference of the
+same ΔE (H. Kuniba and R. S. Berns, CIC 16 (2008) 232): so Σ should be the covariance of the means
+over a dot, which observers see.
 
 A mean of distances is not smooth where a patch is right. It is minimised as √(d² + ε²), for ε from
 1 ΔE down to 10⁻⁷ ΔE.
@@ -315,8 +315,8 @@ def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "b
 def check_noise_gains(
     matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford"
 ) -> None:
-    """Raise AlikeChannelsError if a matrix amplifies noise more than 10 times; the arguments are
-    those of `noise_gains`.
+    """Raise AlikeChannelsError if a matrix amplifies noise more than 10 times. `noise_gains`
+    describes the arguments.
     """
     gains = noise_gains(matrix, white_xyz, adaptation)
     if not gains.max() <= _MAX_NOISE_GAIN:

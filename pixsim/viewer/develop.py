@@ -46,7 +46,7 @@ class Rendition:
     """What a camera and a viewer see of the chart under the scene's lamp, from which the colour
     matrix follows.
 
-    responses : (P, C) electrons of the patches in each channel, relative to those of white
+    responses : (P, C) electrons of the patches in each channel, relative to the electrons of white
     xyz : (P, 3) of the patches, Y = 1 for white
     white_xyz : (3,) of the lamp
     adaptation : from that white to the display's

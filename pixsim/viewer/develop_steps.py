@@ -330,7 +330,7 @@ def noise_of_expected_e2(
 def _wiener_responses(raw: UndevelopedFrame) -> list[Array]:
     """Return the factors by which 'wiener_bound' multiplies the coefficients of each channel plane.
 
-    The planes are those of `UndevelopedFrame.channel_planes`.
+    `UndevelopedFrame.channel_planes` returns the planes.
     """
     assert raw.expected_e is not None
     expected_e = np.minimum(raw.expected_e, raw.readout.saturation_e)
@@ -635,9 +635,10 @@ def noise_covariance(
     behind the linear steps of some kinds.
 
     It is the covariance of the pixels over frames and sensors in closed form, through the weights
-    of each step; for menon2007, whose weights depend on the picture, through those of malvar2004.
-    The offsets of columns are the same in all rows. Fixed pattern counts as in a frame without
-    correction. Only the exposure of the frame counts, and its expected light with 'wiener_bound'.
+    of each step; for menon2007, whose weights depend on the picture, through the weights of
+    malvar2004. The offsets of columns are the same in all rows. Fixed pattern counts as in a frame
+    without correction. Only the exposure of the frame counts, and its expected light with
+    'wiener_bound'.
 
     levels : (P, C) light of the patches in each channel, 1 for white
     dot_um : side of a dot on the sensor, or None where dots are pixels

@@ -107,8 +107,8 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
 
 
 def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
-    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name:
-    that of D65 if it is unknown.
+    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name.
+    If the scene's white is unknown, it is the light of D65.
 
     Where D65 has no light either, as in the infrared, it is the mean of the picture.
     """
@@ -151,8 +151,8 @@ def has_luminance(irradiance: SpectralImage) -> bool:
 
 
 def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | None:
-    """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white: the display's,
-    else that of light nobody sees.
+    """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white. A value of the
+    display comes first, then the value that invisible light states.
 
     None if a luminance says what white is.
     """
@@ -429,8 +429,8 @@ def interpolation_mtf(
     """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
     With x = frequency · pitch: nearest |sinc x|, linear sinc² x, the interpolating cubic spline
-    sinc⁴ x · 3/(2 + cos 2πx). In general it is the transform of the B-spline over that of its
-    samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal Process. 41 (1993) 821.
+    sinc⁴ x · 3/(2 + cos 2πx). In general it is the transform of the B-spline over the transform of
+    its samples; M. Unser, A. Aldroubi and M. Eden, IEEE Trans. Signal Process. 41 (1993) 821.
 
     A component below the Nyquist frequency of the pixels is shown with this contrast. Its images
     around each multiple of 1/pitch are shown with the contrast at their own frequencies.

@@ -76,10 +76,10 @@ def mixed_at_every_pixel(
     """Return what each channel records at every pixel, 1 for white, with the light of neighbours
     through their filters.
 
-    The neighbours are those of the channel's pixels in the unit cell, in the mean over them.
+    Pixels of a channel have different neighbours in the unit cell. Their mean counts.
 
-    is_shaded : whether the frame's shading is taken out, place by place; else white is that of the
-        middle
+    is_shaded : whether the frame's shading is taken out, place by place; else white is the value in
+        the middle
     """
     means = [
         _aperture_means(
@@ -114,8 +114,8 @@ def neighbours(layout: Layout) -> Array:
     """Return how often the pixels around one of each channel have each channel, (C, C, 5, 5): the
     pixel's, its neighbour's, where.
 
-    The places are those of `share_with_neighbours`: [dy + 2, dx + 2] is dy rows above and dx
-    columns to the left.
+    As in `share_with_neighbours`, the place [dy + 2, dx + 2] is dy rows above and dx columns to the
+    left.
     """
     count = len(layout.channels)
     if layout.is_stacked:

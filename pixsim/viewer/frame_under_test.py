@@ -38,7 +38,7 @@ class FrameUnderTest:
     ) -> FrameUnderTest:
         """Return the record of a frame of a chain.
 
-        number : of the frame among those of its pixel size
+        number : of the frame among the frames of its pixel size
         stream : as the field, without the number
         """
 

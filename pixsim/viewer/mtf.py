@@ -34,10 +34,11 @@ def mtf_terms(
     (...) as the frequencies, 0 to 1.
 
     The lens term is white-light diffraction, weighted by the scene's light and the pixel's
-    response; of a real lens, in its place, `real lens`: the rms of its MTF over the die. Lens and
-    photodiode are those of Chen et al. (2000), section 2.2. The last two belong to the display: its
-    interpolation between pixel centres, and the mean over a dot. A `one_to_one` display has
-    neither. Instead of the photodiode, pixels with a stack have the terms of `_stack_mtf_terms`.
+    response; of a real lens, in its place, `real lens`: the rms of its MTF over the die. The terms
+    of lens and photodiode are from Chen et al. (2000), section 2.2. The last two belong to the
+    display: its interpolation between pixel centres, and the mean over a dot. A `one_to_one`
+    display has neither. Instead of the photodiode, pixels with a stack have the terms of
+    `_stack_mtf_terms`.
 
     dot_um : side of a dot on the sensor. None means a dot of the whole picture
     path_um : of light that moves in an exposure, along the axis

@@ -3,21 +3,21 @@ and stays off.
 
 Light that flickers first, which is steady for all else. Then noise, from the codes back to the
 light: rounding by the ADC, each source of `pixsim.sensor.noise` from the last to the first, shot
-noise of dark charge, and that of light; then noise reduction, for what it blurs.
+noise of dark charge, and shot noise of light; then noise reduction, for what it blurs.
 
 Then colour. Without the mosaic, every pixel knows each channel as that channel's pixels would
 record it there. Without crosstalk and shading, no light of neighbours has passed other filters.
-Without colour error, the channels are those of the observer. The matrix takes crosstalk of colours
-apart. That amplifies noise, which belongs to noise, and it sharpens, so that the part of crosstalk
-is small and may be below 0.
+Without colour error, the channels are X, Y and Z of the observer. The matrix takes crosstalk of
+colours apart. That amplifies noise, which belongs to noise, and it sharpens, so that the part of
+crosstalk is small and may be below 0.
 
 Then motion, and the blur in the order of the light: veiling glare, lens, light and charge of
 neighbours, sampling and the display's interpolation, and the pixel's aperture. What is left is the
 remainder.
 
-Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where
-several faults hide one another, a cause takes off more the later it is switched off, and one that
-is nearly nothing may take off a little less than 0, by the random numbers of another draw.
+Variances add: the variances of all causes sum to the variance of the frame. Contributions to ΔE do
+not: where several faults hide one another, a cause takes off more the later it is switched off, and
+one that is nearly nothing may take off a little less than 0, by the random numbers of another draw.
 """
 
 from __future__ import annotations

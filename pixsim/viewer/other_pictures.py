@@ -29,12 +29,12 @@ def score_pictures(
     """Show two pictures on a display, and compare them by S-CIELAB: pictures that somebody else
     processed or made.
 
-    Both are rounded to the codes of the display and clipped to its range, as those of
-    `pixsim.evaluate` are. What a score of `evaluate` holds is shown already, and codes of codes are
-    the same: its pictures give its ΔE again, bit for bit.
+    Both are rounded to the codes of the display and clipped to its range, as the pictures of
+    `pixsim.evaluate` are. The pictures of a score of `evaluate` are shown already, and codes of
+    codes are the same: its pictures give its ΔE again, bit for bit.
 
     ideal, image : light of the dots, linear, 1 for white: (H, W), or (H, W, 3) of the display's
-        primaries, those of sRGB
+        primaries, which are the primaries of sRGB
     display : its codes (gamma, bits), its viewer (samples_per_deg), filters and delta_e; a value is
         a dot, so that raster, dots and white are not used. None means the default
     metrics : names of metrics of the shown picture that need no sensor, or functions of the Score

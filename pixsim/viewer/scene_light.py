@@ -244,8 +244,8 @@ def prepare_scene(
     """Return the light behind the lens and the screens. They depend on the pitch only if the raster
     is one_to_one.
 
-    lights : behind the lens, where they are known, as of a part of a picture whose blur depends on
-        its place
+    lights : behind the lens, where they are known, for example for a part of a picture whose blur
+        depends on its place
     others : further displays, with other dots or seen from elsewhere
 
     Raises PixsimError if the irradiance is negative or not finite, or the background has other

@@ -335,7 +335,7 @@ def filtered_grey_lab(
 
     Its opponent channels are multiples of one picture, so one forward transform serves all three.
     Each is blurred differently, so grey gains chroma. The transfer functions include the conversion
-    to X/Xn, Y/Yn and Z/Zn. `filters` and `single` are those of `filtered_lab`.
+    to X/Xn, Y/Yn and Z/Zn. `filtered_lab` describes `filters` and `single`.
 
     Raises PixsimError (a ValueError) for invalid shapes, values or names.
     """
@@ -450,7 +450,7 @@ def _iter_lab_strips(spectrum: Planes, view: ViewingConditions, grey: bool = Fal
     """Yield strips of CIELAB planes, each valid until the next one, from the filtered DCT-II (3, H,
     W), which is overwritten.
 
-    grey : the spectrum is that of X/Xn, Y/Yn, Z/Zn instead of the opponent channels
+    grey : the planes of the spectrum are X/Xn, Y/Yn, Z/Zn instead of the opponent channels
     """
     planes = inverse_dct(spectrum)
     for rows, strip in strips_of(planes.shape, planes.dtype, STRIP_DOTS):

@@ -268,8 +268,8 @@ def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
 
 
 def white_field(irradiance: SpectralImage) -> str:
-    """Return the field of a display that says what is white: a luminance, or the radiance of light
-    without one.
+    """Return the field of a display that defines white: a luminance, or the radiance of light
+    without a luminance.
     """
     return "white_cd_per_m2" if displays.has_luminance(irradiance) else "white_w_per_m2_sr"
 
@@ -295,8 +295,9 @@ def white_header(views: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, An
     Of several pixels, which see different parts of the spectrum, the largest counts: so that white
     clips at most 1 % of the ideal image of each.
 
-    Of light without luminance it is a radiance. `display.white = "diffuser"` takes that of a white
-    plate, or of texel value 1 of an emissive chart, as the light says it, in place of any other.
+    Of light without luminance it is a radiance. `display.white = "diffuser"` takes the luminance or
+    radiance of a white plate, or of texel value 1 of an emissive chart, as the light says it, in
+    place of any other.
 
     views : the pixels of each sensor with their light, all on one display
 

@@ -1,8 +1,8 @@
 """Tone curves: light, 1 for the scene's white → light that the display shows, 1 for its white.
 
 A curve of values ('gamma', 'srgb', a table) is what a camera does: it hands a value to the display,
-which shows value^γ. The light is then that of the display, so that 'none' stands for the display's
-own inverse. A global operator ('reinhard') makes light of light. A curve of values holds for each
+which shows value^γ. The display's law then sets the light, so that 'none' stands for the inverse of
+this law. A global operator ('reinhard') makes light of light. A curve of values holds for each
 primary, the operator for the luminance, whose factor all primaries have.
 
 sRGB: IEC 61966-2-1. Operator: E. Reinhard, M. Stark, P. Shirley & J. Ferwerda, "Photographic tone

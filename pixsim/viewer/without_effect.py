@@ -438,8 +438,8 @@ def _has_effect(base: _Trial, other: _Trial) -> bool:
     """Return whether two settings give the small light another frame, noise, ideal picture or
     metric.
 
-    The noise is that of the same mean charge, and the picture that of the same frame: each part is
-    compared by itself.
+    Each part is compared by itself: the noise at the same mean charge, and the picture of the same
+    frame.
     """
     if str(other.physics.layout) != str(base.physics.layout):
         return True
@@ -538,7 +538,8 @@ class UserSettings:
 
     @classmethod
     def of(cls, imaging: Imaging, tables: Mapping[str, Record], **facts: Any) -> UserSettings:
-        """Return the settings of tables, by their names, and those of the command above all tables.
+        """Return the settings of tables, by their names, and the settings of the command above all
+        tables.
 
         facts : further fields
         """

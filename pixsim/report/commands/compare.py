@@ -49,9 +49,9 @@ def comparison_files(
     """Write the files of a comparison to a folder. Returns the answer and the page; no page of a
     dry run.
 
-    options : tables and fields of a study, over those of `study` and `config`
+    options : tables and fields of a study, which override `study` and `config`
     out : folder. None means one named by the sensors
-    axes : NAME=VALUES each, over those of the files
+    axes : NAME=VALUES each, which override the axes of the files
     progress, seconds : stages, and where their wall times are collected
     prepare_options : the other keywords of `pixsim.studies.sensors.prepare`
 

@@ -53,11 +53,13 @@ def study_files(
     """Write the files of a study to a folder. Returns the answer and the page; no page of a dry
     run.
 
-    options : tables and fields of a study, over those of its file and of `config`
+    options : tables and fields of a study, which override its file and `config`
     out : folder. None means one named by the study
-    axes : NAME=VALUES each, over those of the files
+    axes : NAME=VALUES each, which override the axes of the files
     progress, seconds : stages, and where their wall times are collected
-    say : takes a line on the computation that begins `pixsim.study` describes the other keywords.
+    say : takes a line on the computation that begins
+
+    `pixsim.study` describes the other keywords.
 
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.

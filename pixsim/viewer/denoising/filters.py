@@ -1,9 +1,9 @@
 """Denoising of a plane of electrons: transform to white noise of variance 1, filter, exact unbiased
 inverse.
 
-The filters come from scikit-image, with the known noise in place of an estimate; or a function
-of one's own. A plane holds the pixels of one channel. The fixed pattern is noise of the picture
-too: it has another variance than the filters are told, and that of columns is not white.
+The filters come from scikit-image, with the known noise in place of an estimate; or a function of
+one's own. A plane holds the pixels of one channel. The fixed pattern is noise of the picture too:
+it has another variance than the filters are told, and the pattern of columns is not white.
 
 A. Buades, B. Coll & J.-M. Morel, CVPR (2005) 60, in the fast form of J. Darbon et al., ISBI (2008)
 1331: non-local means. S. G. Chang, B. Yu & M. Vetterli, IEEE Trans. Image Process. 9 (2000) 1532:

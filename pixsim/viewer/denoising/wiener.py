@@ -2,11 +2,11 @@
 picture and noise.
 
 A filter with a kernel that is even along both axes, on a picture that goes on beyond its borders by
-half-sample reflection, multiplies the coefficients of its DCT-II. For those of a picture C and of
-noise with variances N, the factors H have the error (1 - H)² C² + H² N; the least, S N/(S + N) with
-S = C², is at H = S/(S + N), for each coefficient and hence for all filters of this kind. It bounds
-no other filters, such as those that adapt to the picture, and no other measure than the mean square
-error.
+half-sample reflection, multiplies the coefficients of its DCT-II. For coefficients C of a picture
+and noise coefficients of variance N, the factors H have the error (1 - H)² C² + H² N. The least
+error, S N/(S + N) with S = C², is at H = S/(S + N), for each coefficient and hence for all filters
+of this kind. It bounds no other filters, such as those that adapt to the picture, and no other
+measure than the mean square error.
 
 N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series (1949); A. K. Jain,
 Fundamentals of Digital Image Processing (1989) 8.3.
@@ -45,7 +45,7 @@ def noise_power(
     the variances.
 
     Exact, for any course of the variance over the picture: cos² in the sum over pixels is (1 + cos
-    2…)/2, and that of the variance itself is its own DCT.
+    2…)/2, and the sum of the variance times cos 2… is the variance's DCT at the doubled index.
 
     variance : (H, W) of each pixel on its own, such as the signal's shot noise and the read noise
     column_variance, row_variance : of an offset that all pixels of a column, or a row, share

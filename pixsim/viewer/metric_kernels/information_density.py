@@ -31,7 +31,8 @@ def _axis_weights(frequency: Array) -> Array:
     """Return the width of the cell of each frequency of an axis (n,), as `information_bits_per_mm2`
     takes them, in their unit.
 
-    The ends of a sorted axis have half a cell (trapezium), those of `np.fft.fftfreq` a whole one.
+    The ends of a sorted axis have half a cell (trapezium), the ends of `np.fft.fftfreq` a whole
+    cell.
 
     Raises PixsimError for another axis.
     """
@@ -184,7 +185,7 @@ def folded_spectrum(
     """Return the aliases Σ P(f + k/pitch), k ≠ 0, of a spectrum that pixels sample, (n, n) in the
     unit of the power.
 
-    They are noise to what is at f itself. Fales & Huck (1991).
+    They are noise to the spectrum at f itself. Fales & Huck (1991).
 
     power : function of two arrays that broadcast, (n, 1) and (n,), frequencies along y and x in
         cy/mm: S |T|², also beyond Nyquist

@@ -55,9 +55,9 @@ def detectability(
     """Return d′ = √(Δᵀ K⁻¹ Δ), the signal-to-noise ratio of the best linear observer of a target.
 
     For normal noise two alternatives, with and without the target, are told apart in Φ(d′/√2) of
-    all pairs of frames. Other noise, as that of pixels that clip, has the same ratio, but not that
-    share. Rose (1948) takes 5 as seen. It is exact for any variances. Barrett & Myers (2004),
-    13.2.12.
+    all pairs of frames. Other noise, such as the noise of pixels that clip, has the same ratio, but
+    another share. Rose (1948) takes 5 as seen. It is exact for any variances. Barrett & Myers
+    (2004), 13.2.12.
 
     difference : (rows, columns) expected signal with the target less that without it, in one unit,
         such as DN

@@ -38,8 +38,8 @@ def npwe_template(difference: Difference, samples_per_deg: Positive) -> Array:
     """Return what the observer multiplies a picture with and sums, (H, W) relative: the difference,
     twice through the eye's filter.
 
-    Burgess (1994). With it d′ is known in any noise, as that of simulated frames: the sum of
-    template times difference over the standard deviation of the sum of template times noise.
+    Burgess (1994). With it d′ is known in any noise, such as the noise of simulated frames: the sum
+    of template times difference over the standard deviation of the sum of template times noise.
 
     difference : (H, W) expected picture with the target less that without it, in relative
         luminance; it ends at the borders

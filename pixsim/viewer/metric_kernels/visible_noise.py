@@ -43,13 +43,13 @@ def visual_noise(
     """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of a uniform patch behind the eye's filters, a
     number in units of CIELUV. [ISO]
 
-    The filters keep the mean, and of noise what is near 4 cy/deg, threefold. Below 0 filtered XYZ
-    is taken as 0.
+    The filters keep the mean, and amplify noise near 4 cy/deg threefold. Below 0 filtered XYZ is
+    taken as 0.
 
     picture : (H, W) relative luminance of a grey patch, 1 for white, or (H, W, 3) XYZ in the unit
         of the white
     samples_per_deg : of the display
-    white_xyz : (3,) None means that of D65 with Y = 100
+    white_xyz : (3,) XYZ of white. None means the white of D65 with Y = 100
 
     Raises PixsimError for another shape, or a white that is not positive.
 
