@@ -34,7 +34,7 @@ from pixsim.optics.quantities import (
 )
 
 _FASTEST_WORKING_F_NUMBER = 0.5
-LARGEST_MAGNIFICATION = (
+MAX_MAGNIFICATION = (
     1e6  # green light is half a metre long in the image; beyond it the object lies in the focus
 )
 _CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, rounded to 1 µm
@@ -122,11 +122,11 @@ class Camera(Record):
                 " image forms. Increase the object distance or use a shorter focal length"
             )
 
-        if self.magnification > LARGEST_MAGNIFICATION:
+        if self.magnification > MAX_MAGNIFICATION:
             raise ValueError(
                 f"got focal_length_mm = {self.focal_length_mm:g} with object_distance_m ="
                 f" {self.object_distance_m:g}, which magnifies {self.magnification:g} times;"
-                f" allowed: up to {LARGEST_MAGNIFICATION:g} times. Increase the object distance"
+                f" allowed: up to {MAX_MAGNIFICATION:g} times. Increase the object distance"
             )
 
         if self.working_f_number < _FASTEST_WORKING_F_NUMBER:

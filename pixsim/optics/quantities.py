@@ -11,7 +11,7 @@ from pixsim.base.bounds import POSITIVE_OR_INFINITE, SMALLEST, Bounds
 FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
 FNumber = Annotated[
     float, Field(ge=1e-6, le=1e6)
-]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
+]  # the lower limit depends on the magnification, up to `MAX_MAGNIFICATION`
 DieWidth = Annotated[float, Field(ge=1e-5, le=1000)]  # 10 nm ... 1 m
 Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light years
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
