@@ -189,7 +189,8 @@ def dct(planes: NDArray[Any], in_place: bool = True) -> NDArray[Any]:
     if not in_place and _strides_clash(planes.shape[-1] * planes.itemsize):
         copy = empty_planes(*planes.shape, dtype=planes.dtype)
         copy[...] = planes
-        planes, in_place = copy, True
+        planes = copy
+        in_place = True
     return np.asarray(
         dctn(planes, type=2, axes=(-2, -1), overwrite_x=in_place, workers=_dct_workers(planes))
     )

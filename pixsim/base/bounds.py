@@ -99,7 +99,8 @@ def field_bounds(stated: Sequence[object]) -> Bounds | None:
     if not limits:
         return next((part for part in stated if isinstance(part, Bounds)), None)
 
-    low, high = limits.get("ge", -LARGEST), limits.get("le", LARGEST)
+    low = limits.get("ge", -LARGEST)
+    high = limits.get("le", LARGEST)
     if "gt" in limits:
         low = limits["gt"] or SMALLEST
     return Bounds(low, limits.get("lt", high), open_high="lt" in limits)
@@ -121,13 +122,11 @@ def without_bounds(annotation: str, owner: Any) -> str:
         if get_origin(annotated) is not Annotated:
             return match[0]
         plain_type = get_args(annotated)[0]
-        return (
-            "Array"
-            if get_origin(plain_type) is np.ndarray
-            else "ArrayLike"
-            if plain_type == ArrayLike
-            else str(plain_type.__name__)
-        )
+        if get_origin(plain_type) is np.ndarray:
+            return "Array"
+        if plain_type == ArrayLike:
+            return "ArrayLike"
+        return str(plain_type.__name__)
 
     return re.sub(r"(?<![.\w])[A-Z]\w+", plain, annotation)
 

@@ -318,7 +318,8 @@ def trim() -> int:
     processes; return bytes freed.
     """
     oldest_first = entries()
-    excess, freed = sum(entry.size_bytes for entry in oldest_first) - limit_bytes(), 0
+    excess = sum(entry.size_bytes for entry in oldest_first) - limit_bytes()
+    freed = 0
     for entry in oldest_first:
         if freed >= excess:
             break

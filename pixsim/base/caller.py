@@ -61,8 +61,6 @@ def evaluated(path: str) -> str:
     >>> evaluated("light.exr")
     "evaluate(read_irradiance('light.exr'), …)"
     """
-    return (
-        f"pixsim run {shlex.quote(path)}"
-        if _command_lines
-        else f"evaluate(read_irradiance({path!r}), …)"
-    )
+    if _command_lines:
+        return f"pixsim run {shlex.quote(path)}"
+    return f"evaluate(read_irradiance({path!r}), …)"

@@ -218,7 +218,8 @@ def with_error(value: float, error: float) -> str:
 
     decimals = MAX_DIGITS - 1 - _decade(value or error, MAX_DIGITS)
     if error <= ROUNDING * abs(value):
-        error, decimals = 0.0, min(decimals, MAX_DIGITS)
+        error = 0.0
+        decimals = min(decimals, MAX_DIGITS)
     else:
         digits = 1 if _ONE_DIGIT_ERRORS[0] <= error < _ONE_DIGIT_ERRORS[1] else 2
         decimals = min(decimals, digits - 1 - _decade(error, digits))

@@ -86,7 +86,8 @@ def checked_methods(kind: _Class) -> _Class:
         if len(inspect.signature(function).parameters) == 1:  # self
             continue
         method = checked(function, f"{kind.__module__}.{kind.__qualname__}.{name}")
-        method.__module__, method.__qualname__ = function.__module__, function.__qualname__
+        method.__module__ = function.__module__
+        method.__qualname__ = function.__qualname__
         setattr(kind, name, classmethod(method) if isinstance(value, classmethod) else method)
     return kind
 
@@ -161,7 +162,8 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
     from pydantic import BeforeValidator, InstanceOf, Strict
 
     hint = _without_alias(hint) if hint is not ArrayLike else hint
-    origin, inner = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    inner = get_args(hint)
     if origin is Annotated:
         kind, *metadata = inner
         axes = next((part.count for part in metadata if isinstance(part, Axes)), axes)
@@ -209,7 +211,8 @@ def _without_alias(hint: Any) -> Any:
     """Return the type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one
     from 2.5 on.
     """
-    aliased, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
+    aliased = getattr(get_origin(hint) or hint, "__value__", None)
+    inner = get_args(hint)
     if aliased is None:
         return hint
     return aliased[inner] if inner else aliased

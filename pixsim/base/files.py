@@ -82,11 +82,9 @@ def missing(path: Path) -> str:
     folder = next(
         (str(folder) for folder in reversed(path.parents) if not os.path.lexists(folder)), None
     )
-    return (
-        f"'{path}', which does not exist"
-        if folder is None
-        else f"'{path}' (folder '{folder}' does not exist)"
-    )
+    if folder is None:
+        return f"'{path}', which does not exist"
+    return f"'{path}' (folder '{folder}' does not exist)"
 
 
 def resolved(path: Path) -> Path:
@@ -457,7 +455,8 @@ def write_json(path: Path, content: Mapping[str, Any], *, named: bool = True) ->
         partial.write_text(json_text(content) + "\n", encoding="utf-8", errors="backslashreplace")
 
 
-MIB, GIB = 1 << 20, 1 << 30
+MIB = 1 << 20
+GIB = 1 << 30
 MAX_FILE_VARIABLE = "PIXSIM_MAX_FILE_GIB"
 _DEFAULT_MAX_FILE_GIB = 4.0
 

@@ -56,10 +56,8 @@ def processors(root: Path = Path("/")) -> _Processors:
     granted = []
     for folder in _groups("cpu", root):
         quota, _, period = text_of(folder / "cpu.max").partition(" ")  # control groups v2
-        quota, period = (
-            quota or text_of(folder / "cpu.cfs_quota_us"),
-            period or text_of(folder / "cpu.cfs_period_us"),
-        )
+        quota = quota or text_of(folder / "cpu.cfs_quota_us")
+        period = period or text_of(folder / "cpu.cfs_period_us")
         if quota.isdigit() and period.isdigit() and int(period) > 0:  # else "max" or -1
             granted.append(int(quota) / int(period))
     return _Processors(os.cpu_count(), allowed, min(granted, default=None))
@@ -74,11 +72,9 @@ def threads() -> int:
     sets, as in workers of a study.
     """
     environment = os.environ.get("OMP_NUM_THREADS", "")
-    return (
-        int(environment)
-        if environment.isdigit() and int(environment) > 0
-        else min(processors().usable, MAX_THREADS)
-    )
+    if environment.isdigit() and int(environment) > 0:
+        return int(environment)
+    return min(processors().usable, MAX_THREADS)
 
 
 def memory(root: Path = Path("/")) -> Memory:

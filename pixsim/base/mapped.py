@@ -40,7 +40,8 @@ def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
             os.posix_fallocate(file.fileno(), 0, size)
             content = mmap.mmap(file.fileno(), size)
     except OSError as error:
-        folder, gib = tempfile.gettempdir(), size / (1 << 30)
+        folder = tempfile.gettempdir()
+        gib = size / (1 << 30)
         text = (
             f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}): memory is used instead;"
             " set TMPDIR"

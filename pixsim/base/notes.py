@@ -78,9 +78,11 @@ def warn(note: Note) -> None:
     """Warn of a note, at the first line outside pixsim: the user's. One of a machine is a
     MachineWarning.
     """
-    level, frame = 2, sys._getframe(1)
+    level = 2
+    frame = sys._getframe(1)
     while frame.f_back and frame.f_code.co_filename.startswith(PACKAGE):
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     category = MachineWarning if note.id == "machine" else UserWarning
     warnings.warn(category(note), stacklevel=level)
 
@@ -88,11 +90,9 @@ def warn(note: Note) -> None:
 def note_of(message: Warning | str) -> Note:
     """Return the note of a warning; the id is "other" for a warning of another library."""
     content = message.args[0] if isinstance(message, Warning) and message.args else message
-    return (
-        content
-        if isinstance(content, Note)
-        else Note("other", words=str(content).removesuffix("."))
-    )
+    if isinstance(content, Note):
+        return content
+    return Note("other", words=str(content).removesuffix("."))
 
 
 _outer: ContextVar[list[Note] | None] = ContextVar("notes", default=None)

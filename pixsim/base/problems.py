@@ -136,7 +136,8 @@ def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
     A setting of this table that users call so counts first, then one of the same name elsewhere,
     then one that they call so.
     """
-    aliased, same_name = [], []
+    aliased = []
+    same_name = []
     for path, info in _fields(RECORDS[title]):
         if name == path[-1]:
             same_name.append(path)
@@ -235,11 +236,9 @@ def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Seque
 
 def _name_in(name: str, layer: Layer) -> str:
     """A name that a file gives, for a message."""
-    return (
-        name
-        if not layer.named and PLAIN_WORD.fullmatch(name)
-        else f"(a name of {len(name)} characters)"
-    )
+    if not layer.named and PLAIN_WORD.fullmatch(name):
+        return name
+    return f"(a name of {len(name)} characters)"
 
 
 def _names_at(title: str, path: list[str]) -> list[str]:

@@ -43,7 +43,8 @@ def steps_of(progress: Progress | None, count: int) -> Callable[[], None]:
     """Return a function to call after each of some equal steps, from any thread."""
     if progress is None:
         return lambda: None
-    done, lock = 0, threading.Lock()
+    done = 0
+    lock = threading.Lock()
 
     def step_done() -> None:
         nonlocal done
@@ -91,7 +92,8 @@ class Lines:
     ) -> None:
         self._write, self._clock, self._lock = write, clock, threading.Lock()
         self._start_s = self._line_s = clock()
-        self._name, self._state = "", " …"
+        self._name = ""
+        self._state = " …"
         self._done = self._stage_s = self._part_s = 0.0
 
     def _line(self, text: str) -> None:
@@ -105,7 +107,8 @@ class Lines:
         with self._lock:
             if not self._name:
                 self._line(f"{name} …")
-            self._name, self._state = name, " …"
+            self._name = name
+            self._state = " …"
             self._done, self._stage_s = 0.0, self._clock()
             self._part_s = self._stage_s
 
@@ -115,7 +118,8 @@ class Lines:
         """
         if done < self._done:  # it begins again, as for a finer film
             self._part_s = self._clock()
-        self._done, left = done, ""
+        self._done = done
+        left = ""
         if _MIN_DONE <= done < 1:
             left = (
                 f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s"
@@ -180,11 +184,9 @@ def _bars() -> Any:
     name = progress.TextColumn("{task.description}", markup=False)  # which may look like markup
     columns = [name, *progress.Progress.get_default_columns()[1:]]
     terminal = console.Console(stderr=True)
-    return (
-        progress.Progress(*columns, console=terminal, transient=True)
-        if terminal.is_terminal
-        else None
-    )
+    if terminal.is_terminal:
+        return progress.Progress(*columns, console=terminal, transient=True)
+    return None
 
 
 @contextmanager

@@ -60,11 +60,9 @@ def _not_tiny(value: object) -> object:
             raise ValueError(f"got {value:g}; allowed: 0, or at least {SMALLEST:g} in size")
         return value + 0.0  # -0.0 + 0.0 is 0.0
     if isinstance(value, tuple):
-        return (
-            tuple(map(_not_tiny, value))
-            if any(isinstance(part, float | tuple) for part in value)
-            else value
-        )
+        if any(isinstance(part, float | tuple) for part in value):
+            return tuple(map(_not_tiny, value))
+        return value
     # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own
     return value
 
@@ -131,7 +129,8 @@ def restated_by(record: type[Record], names: Iterable[str]) -> set[str]:
     """Return the fields that cannot be given together with the fields `names`, since they state the
     same quantity.
     """
-    stated, restated = set(names), set[str]()
+    stated = set(names)
+    restated = set[str]()
     for group in record.ALTERNATIVES:
         others = [words for words in group if not stated.intersection(words)]
         if len(others) < len(group):

@@ -44,11 +44,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         table = tomllib.loads(text)
     except ValueError as error:  # TOMLDecodeError, or an invalid date
-        hint = (
-            "Write numbers with a decimal point and without a unit, such as 3.45 or 10500."
-            if "Expected newline" in str(error)
-            else ""
-        )
+        if "Expected newline" in str(error):
+            hint = "Write numbers with a decimal point and without a unit, such as 3.45 or 10500."
+        else:
+            hint = ""
         raise invalid(source, _without_names(error), "TOML, see https://toml.io", hint) from None
     except RecursionError:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
@@ -76,7 +75,8 @@ def _without_names(error: ValueError) -> str:
 
 def depth(value: object) -> int:
     """Nesting depth of tables and lists, computed without recursion, which a file could exhaust."""
-    deepest, stack = 0, [(value, 0)]
+    deepest = 0
+    stack = [(value, 0)]
     while stack:
         node, level = stack.pop()
         deepest = max(deepest, level)
@@ -115,13 +115,11 @@ def kind_of_value(value: object) -> str:
     """A value that stands where a table should, for a message: a number as it is, else what it
     is.
     """
-    return (
-        f"{value}"
-        if isinstance(value, bool | int | float)
-        else "a list"
-        if isinstance(value, list)
-        else "a text"
-    )
+    if isinstance(value, bool | int | float):
+        return f"{value}"
+    if isinstance(value, list):
+        return "a list"
+    return "a text"
 
 
 SETTINGS_HEAD = "# The settings of this folder"  # first line of such a file

@@ -42,8 +42,6 @@ def unit_of(name: str) -> str:
     >>> unit_of("white_cd_per_m2"), unit_of("f_number")
     ('cd/m²', '')
     """
-    return (
-        ""
-        if name in _NO_UNIT
-        else next((unit for end, unit in UNITS.items() if name.endswith(end)), "")
-    )
+    if name in _NO_UNIT:
+        return ""
+    return next((unit for end, unit in UNITS.items() if name.endswith(end)), "")

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import NoReturn
 
-OK, UNEXPECTED, INVALID_INPUT = 0, 1, 2
+OK = 0
+UNEXPECTED = 1
+INVALID_INPUT = 2
 
 
 def command() -> NoReturn:

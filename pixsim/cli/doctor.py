@@ -20,7 +20,9 @@ from pixsim.scene.trial import trial_render
 from pixsim.scene.variants import graphics, variant
 from pixsim.show.document import Document, DocumentTable
 
-OK, NOTE, PROBLEM = "ok", "note", "problem"
+OK = "ok"
+NOTE = "note"
+PROBLEM = "problem"
 LIMIT_S = 20.0  # of the test render, which takes 1 to 3 s
 
 
@@ -121,11 +123,10 @@ def _llvm() -> Diagnosis:
         return Diagnosis("LLVM", PROBLEM, str(error))
     if path is None:
         has_wheel = (sys.platform, platform.machine()) == ("linux", "x86_64")
-        mend = (
-            f"pip install {variant.LLVM_WHEEL}"
-            if has_wheel
-            else f"export {variant.LLVM_VARIABLE}=FILE"
-        )
+        if has_wheel:
+            mend = f"pip install {variant.LLVM_WHEEL}"
+        else:
+            mend = f"export {variant.LLVM_VARIABLE}=FILE"
         return Diagnosis(
             "LLVM", NOTE, f"{reason}; renders take several times as long", mend, {"path": None}
         )

@@ -75,18 +75,17 @@ def print_help(app: App, arguments: Sequence[str]) -> str:
     one.
     """
     command = next((word for word in arguments if not word.startswith("-") and word in app), None)
-    option_count = (
-        0
-        if command is None
-        else sum(argument.show for argument in app[command].assemble_argument_collection())
-    )
+    if command is None:
+        option_count = 0
+    else:
+        option_count = sum(
+            argument.show for argument in app[command].assemble_argument_collection()
+        )
     app.help_formatter = _CommonOptions() if option_count > MIN_SHORTENED else None
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     finally:
         app.help_formatter = None
-    return (
-        f"\n`pixsim {command} --help-all` shows all {option_count} options.\n"
-        if option_count > MIN_SHORTENED
-        else ""
-    )
+    if option_count > MIN_SHORTENED:
+        return f"\n`pixsim {command} --help-all` shows all {option_count} options.\n"
+    return ""

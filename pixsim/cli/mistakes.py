@@ -33,15 +33,15 @@ def refusal(error: CycloptsError) -> str:
     """Return the message for a command line with a word or an option that its command does not
     take, or another fault.
     """
-    command, text = " ".join(error.command_chain or ()), str(error)
+    command = " ".join(error.command_chain or ())
+    text = str(error)
     words, options = names_of(command) if command else ([], set())
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         first, *others = error.unused_tokens
-        got = (
-            f"the extra words '{first}' and {len(others)} more"
-            if others
-            else f"the extra word '{first}'"
-        )
+        if others:
+            got = f"the extra words '{first}' and {len(others)} more"
+        else:
+            got = f"the extra word '{first}'"
         text = (
             f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}."
             f" {_hint_of_word(first, options)}".rstrip()
@@ -51,7 +51,8 @@ def refusal(error: CycloptsError) -> str:
         and error.argument
         and error.argument.index is not None
     ):
-        name, allowed = _word_of(error.argument), error.argument.parameter.help
+        name = _word_of(error.argument)
+        allowed = error.argument.parameter.help
         text = f"{command}: got no {name}; allowed: {allowed}"
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]

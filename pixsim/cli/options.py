@@ -41,8 +41,10 @@ from pixsim.viewer.metric_options import Detectability, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
-QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
-HELP, HELP_ALL = ("--help", "-h"), "--help-all"
+QUIET = ("-q", "--quiet")
+VERBOSE = ("-v", "--verbose")
+HELP = ("--help", "-h")
+HELP_ALL = "--help-all"
 app = App(
     name="pixsim",
     version=VERSION,
@@ -124,7 +126,8 @@ def value_name(annotation: object) -> str:
 
     A table of pairs is given as a FILE, a pair of numbers as INTxINT.
     """
-    origin, inner = get_origin(annotation), get_args(annotation)
+    origin = get_origin(annotation)
+    inner = get_args(annotation)
     if origin is Annotated:
         return value_name(inner[0])
     if origin is Literal:
@@ -621,12 +624,10 @@ class StudyOptions:
         return {name: getattr(self, name) for name in names} | vars(self.score_options)
 
 
-NO_OPTIONS, NO_EFFORT, NO_SCORE_OPTIONS, NO_STUDY_OPTIONS = (
-    SceneOptions(),
-    EffortOptions(),
-    ScoreOptions(),
-    StudyOptions(),
-)
+NO_OPTIONS = SceneOptions()
+NO_EFFORT = EffortOptions()
+NO_SCORE_OPTIONS = ScoreOptions()
+NO_STUDY_OPTIONS = StudyOptions()
 
 
 def without_none(options: dict[str, Any]) -> dict[str, Any]:

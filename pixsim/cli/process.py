@@ -67,7 +67,9 @@ class _Interruption:
 
     def begin(self) -> None:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
-        self._begun, self._done, self._first_s = True, False, None
+        self._begun = True
+        self._done = False
+        self._first_s = None
 
     def end_or_raise(self) -> None:
         """The command has ended but for its result, which is printed. Raises KeyboardInterrupt if a

@@ -38,7 +38,8 @@ CONTROLLED_FIELDS = (
 )
 # Tables that two sensors share, so that both see and show the same.
 SHARED_TABLES = ("scene", "camera", "lens", "display")
-LENS, NO_LENS = "lens.file", "thin lens"
+LENS = "lens.file"
+NO_LENS = "thin lens"
 # Labels of fields whose names are not a designer's words.
 _LABELS = {
     "pitch": "pixel size",

@@ -343,7 +343,8 @@ class Session:
         """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if
         the page `has_pictures` already.
         """
-        score, job = result.score, result.prepared
+        score = result.score
+        job = result.prepared
         content: dict[str, Any] = {
             "number": request.number,
             "sensor": number,

@@ -381,7 +381,8 @@ def _band_channel(wavelength_nm: float) -> str:
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-MAX_REDUCED_COLUMNS, MAX_REDUCED_BYTES = 1024, 60_000_000
+MAX_REDUCED_COLUMNS = 1024
+MAX_REDUCED_BYTES = 60_000_000
 # Of the largest number of columns, by which it may be lowered: some number in between divides a
 # usual height to 2 % of a sample.
 NEAR = 8

@@ -547,7 +547,8 @@ def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
     stated = str(header.get("wavelength units", "none"))
     unit = unit_of_wavelength(stated)
     if not unit:
-        allowed, hint = "Nanometers, Micrometers or Angstroms", "Write them into the header."
+        allowed = "Nanometers, Micrometers or Angstroms"
+        hint = "Write them into the header."
         raise invalid(f"wavelength units in '{path}'", names_in([stated])[0], allowed, hint)
     numbers = [as_number(str(text), ".") for text in np.atleast_1d(header[field])]
     if None in numbers:

@@ -12,4 +12,6 @@ Wavelength = Annotated[float, Field(ge=1, le=1e6)]  # soft X-rays ... 1 mm
 FilmSamples = Annotated[int, Field(ge=1, le=16384)]  # across the die
 # Parameters that state the light of a scene, of which a user sets one, and what stands for the
 # first in the XML of a chart.
-LUMINANCE, ILLUMINANCE, EMITTER_SCALE = "luminance_cd_per_m2", "lux", "emitter_scale"
+LUMINANCE = "luminance_cd_per_m2"
+ILLUMINANCE = "lux"
+EMITTER_SCALE = "emitter_scale"

@@ -44,7 +44,8 @@ MAX_VALUE = float(np.finfo(np.float32).max)
 DIGEST = "digest"
 # Entries of a header: the light of the scene's white, in each band; and the lamps that make it
 # together, if the scene names them.
-LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
+LAMP = "lamp_w_per_m2_sr_nm"
+WHITE_LAMPS = "white_lamps"
 # Entry of a header: radiance of white, of light without luminance.
 WHITE_RADIANCE = "white_w_per_m2_sr"
 # Entry of a header: radiance of a white plate at the object's distance, for
@@ -522,11 +523,10 @@ class SpectralImage:
     def __repr__(self) -> str:
         height, width = self.shape
         count = len(self.factors[0]) if self.factors else 0
-        kind = (
-            f"{count} {'spectrum × picture' if count == 1 else 'spectra × pictures'}"
-            if count
-            else "general"
-        )
+        if count:
+            kind = f"{count} {'spectrum × picture' if count == 1 else 'spectra × pictures'}"
+        else:
+            kind = "general"
         return (
             f"<SpectralImage {width}×{height} samples of {self.pitch_um:g} µm,"
             f" {self.wavelength_nm.size} bands {self.wavelength_nm[0]:g}–{self.wavelength_nm[-1]:g}"
@@ -542,7 +542,8 @@ RINGS = "rings"
 MAX_RING = 1.5
 
 
-OUTLIER, SAMPLES_AN_OUTLIER = 100.0, 10_000
+OUTLIER = 100.0
+SAMPLES_AN_OUTLIER = 10_000
 
 
 def lowest_allowed(header: dict[str, Any], highest: float) -> float:
@@ -627,11 +628,9 @@ def white_words(has_spectrum: bool, lamps: Sequence[str] = ()) -> str:
     """
     if lamps:
         return f"the scene's own white, of its lamps {', '.join(lamps)}"
-    return (
-        "the scene's lamp"
-        if has_spectrum
-        else f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
-    )
+    if has_spectrum:
+        return "the scene's lamp"
+    return f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
 
 
 EDGE = 1e-9  # of a sample: rounding errors of a ratio
@@ -698,7 +697,8 @@ LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
 # are those of the grid.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
 MAX_COUNT = 1e30  # largest value of a spectrum, in any unit
-FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
+FINEST_REGULAR_NM = 0.1
+MAX_REGULAR_VALUES = 8192
 # 0.2 nm less a rounding error; tables with closer nodes need the finest step.
 _COARSE_SPACING_NM = 0.199
 
@@ -769,7 +769,8 @@ class Spectrum:
         """Return the exact means over the cells between increasing edges, so that no spectral line
         is missed.
         """
-        x, y = self.nodes_nm, self.values
+        x = self.nodes_nm
+        y = self.values
         cumulative = np.concatenate([[0.0], np.cumsum(np.diff(x) * (y[1:] + y[:-1]) / 2)])
         position_nm = np.clip(edges_nm, x[0], x[-1])
         index = np.clip(np.searchsorted(x, position_nm, side="right") - 1, 0, x.size - 2)

@@ -62,7 +62,8 @@ def illuminant(name: str, wavelength_nm: Positives) -> Array:
             did_you_mean(name, illuminant_names()),
         )
 
-    nm, power = table[:, 0], table[:, 1 + names.index(name)]
+    nm = table[:, 0]
+    power = table[:, 1 + names.index(name)]
     is_stated = np.isfinite(power)
     return np.interp(
         np.asarray(wavelength_nm, float), nm[is_stated], power[is_stated], left=0.0, right=0.0

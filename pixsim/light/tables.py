@@ -31,7 +31,8 @@ TITLE_SEPARATORS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r
 MAX_DIGITS = 400  # of a cell: more than any double needs
 # Titles stand close above the numbers, in short cells; the time to look for words and units in one
 # grows with its square.
-MAX_TITLE, MAX_TITLES = 1000, 100
+MAX_TITLE = 1000
+MAX_TITLES = 100
 # Words of a title for a unit of wavelength: its symbol. A lone A is one only in brackets.
 UNIT_WORDS = {
     **dict.fromkeys(("nm", "nanometer", "nanometre"), "nm"),

@@ -275,7 +275,8 @@ class DataSheet(Result):
         """The fraction of hot pixels whose dark charge alone saturates them at the longest time of
         the dark series.
         """
-        e, p = self.experiment, self.experiment.readout
+        e = self.experiment
+        p = self.experiment.readout
         if e.sensor.dark_gain is None or not e.physics.hot_pixel_fraction:
             return 0.0
         charge_e = e.sensor.dark_gain * (p.dark_current_e_per_s * float(self.dark_series.at[-1]))
@@ -295,7 +296,8 @@ class DataSheet(Result):
         ]
 
     def __repr__(self) -> str:
-        physics, t = self.experiment.physics, self.transfer
+        physics = self.experiment.physics
+        t = self.transfer
         values = (
             f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d"
             f" {t.dark_noise_e.value:.3g} e-"
@@ -519,7 +521,9 @@ def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
         return str(error)
 
 
-EMVA, NOISE, SPEED = "EMVA 1288", "ISO 15739", "ISO 12232"
+EMVA = "EMVA 1288"
+NOISE = "ISO 15739"
+SPEED = "ISO 12232"
 COLOUR = f"ISO 17321-1 and noise in colour, illuminant {colours.LAMP}"
 _ROUNDING = 1e-9
 _PRIMARIES = "red", "green", "blue"
@@ -881,11 +885,9 @@ def _spatial_entries(sheet: DataSheet) -> list[Entry]:
 def _doubling_from(physics: PixelPhysics) -> str:
     if physics.pixel.dark_current and physics.pixel.dark_current.doubling_k:
         return "pixel.dark_current.doubling_k"
-    return (
-        "assumed, as for silicon"
-        if physics.technology.name == NO_TECHNOLOGY
-        else "from the technology file"
-    )
+    if physics.technology.name == NO_TECHNOLOGY:
+        return "assumed, as for silicon"
+    return "from the technology file"
 
 
 def _dark_entries(sheet: DataSheet) -> list[Entry]:
@@ -914,7 +916,8 @@ def _dark_entries(sheet: DataSheet) -> list[Entry]:
     if warm and current:
         values, errors = np.array([(current.value, current.error) for current in warm]).T
         doubling = estimators.doubling_k(temperatures, values, errors)
-        name, true_k = "doubling temperature of the dark current", p.dark_doubling_k
+        name = "doubling temperature of the dark current"
+        true_k = p.dark_doubling_k
         entries.append(_emva_entry(name, "ϑ_d", "K", doubling, true_k, _doubling_from(p)))
 
     return entries

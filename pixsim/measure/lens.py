@@ -56,7 +56,8 @@ _RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
 # surfaces
 _MAX_TRACED = 5e6
 # Of the cross-section: shares of the largest field, and heights of its rays in the stop.
-CUT_FIELDS, CUT_HEIGHTS = (0.0, 0.7, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
+CUT_FIELDS = (0.0, 0.7, 1.0)
+CUT_HEIGHTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
 CUT_POINTS = 81  # of a surface
 _BEFORE_LENS = 0.15  # of its length: a piece of the parallel light in front
@@ -426,10 +427,12 @@ def ray_spreads(
     grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(_MAX_TRACED / rays))))
     grid_x, grid_y = np.meshgrid(grid, grid)
     is_in_stop = np.hypot(grid_x, grid_y) <= 1
-    x, y = grid_x[is_in_stop], grid_y[is_in_stop]
+    x = grid_x[is_in_stop]
+    y = grid_y[is_in_stop]
     limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, lens.working_f_number)
     edges = (np.arange(MAX_SAMPLES + 2) - (MAX_SAMPLES + 1) / 2) * pitch_um
-    psfs, mtf = [], []
+    psfs = []
+    mtf = []
     for angle in field_deg:
         waves = lens.wavefront(angle, wavelength_nm, x, y, _RAYS_AIMED)
         is_traced = waves.passed & np.isfinite(waves.opd_waves)
@@ -516,7 +519,8 @@ def cross_section(lens: Lens) -> _CrossSection:
     for angle, path in zip(fields, paths, strict=True):
         waves = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS)
         passed = waves.passed[0]
-        z, y = path[passed, :, 2], path[passed, :, 1]
+        z = path[passed, :, 2]
+        y = path[passed, :, 1]
         if math.isinf(lens.object_distance_mm):
             start_mm = _BEFORE_LENS * length_mm
             z = np.column_stack([z[:, 0] - start_mm, z])

@@ -533,7 +533,8 @@ def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple
 
     differences = {}
     for diagonal in (((0, 0), (1, 1)), ((0, 1), (1, 0))):
-        first, second = steps[diagonal[0]], steps[diagonal[1]]
+        first = steps[diagonal[0]]
+        second = steps[diagonal[1]]
         differences[diagonal] = abs(first - second) / max(first + second, 1e-300)
     green, other = sorted(differences, key=lambda diagonal: differences[diagonal])
     difference = differences[green]
@@ -1386,7 +1387,8 @@ def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None
     illumination does, as it acts on each side in proportion to its light.
     """
     half_px = -float(distance_px[0])
-    slopes, errors = [], []
+    slopes = []
+    errors = []
     sides = (distance_px < -half_px / 4, distance_px > half_px / 4)
     for side in sides:
         centred = distance_px[side] - distance_px[side].mean()

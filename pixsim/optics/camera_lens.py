@@ -58,7 +58,8 @@ from pixsim.optics.thin_lens import irradiance_factor
 # Chief rays from the axis to the corner of the die, linear in between: 3e-5 of the fall-off.
 _CHIEF_RAYS = 129
 # The end of the image circle is approached by this factor, in so many steps.
-_CIRCLE_STEP, _CIRCLE_STEPS = 0.99, 400
+_CIRCLE_STEP = 0.99
+_CIRCLE_STEPS = 400
 # Of the corner's height, so that the last row does not end before it.
 _BEYOND = 1e-6
 # Of the light on the axis: towards the end of an image circle pupils shrink to nothing.
@@ -90,12 +91,14 @@ _TEST_CELLS = 33
 # Film cells, for rays on a film that is too coarse for waves.
 _COARSE_WINDOW = 32
 # Shares of the tolerance: for wavelengths and for nodes each, and for the tails of PSFs.
-_LIGHT_SHARE, _CUT_SHARE = 0.2, 0.4
+_LIGHT_SHARE = 0.2
+_CUT_SHARE = 0.4
 # Of the rms of a blurred picture about its mean.
 _USUAL_TOLERANCE = 0.01
 
 # In light of several spectra: groups of neighbouring bands that have one blur.
-GROUPS, GROUP_WAVELENGTHS = 6, 2
+GROUPS = 6
+GROUP_WAVELENGTHS = 2
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
 _VIEW_STEPS = 4
 _OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces of one lens
@@ -214,7 +217,8 @@ def lens_on_die(camera: Camera, other: Camera, same_view: bool = False) -> Camer
     without_file = without_lens(camera).model_copy(update=die)
 
     # In steps, since the image distance grows only nearly as the focal length.
-    scaled, focal_mm = camera, camera.lens.focal_length_mm
+    scaled = camera
+    focal_mm = camera.lens.focal_length_mm
     for _ in range(_VIEW_STEPS if same_view else 1):
         focal_mm = focal_mm * image_distance_mm / scaled.image_distance_mm
         options = camera.lens_options.model_copy(update={"focal_length_mm": focal_mm})
@@ -637,7 +641,8 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
     if nm.size <= count:
         return nm, share
 
-    middle, half = (nm[-1] + nm[0]) / 2, (nm[-1] - nm[0]) / 2
+    middle = (nm[-1] + nm[0]) / 2
+    half = (nm[-1] - nm[0]) / 2
     position = (nm - middle) / half
     basis = [np.sqrt(share)]
     matrix = np.zeros((count, count))
@@ -755,7 +760,8 @@ def dark_share(camera: Camera) -> float:
 
 _BLURS: dict[str, FieldBlur] = {}
 _PSFS: dict[str, RadialPsfs] = {}
-_MAX_CACHED_BLURS, _MAX_CACHED_BYTES = 8, 1 << 28
+_MAX_CACHED_BLURS = 8
+_MAX_CACHED_BYTES = 1 << 28
 # Times the cells that resolve a lens's PSFs: with larger ones, it takes less time to compute PSFs
 # for each film.
 _COARSE_FILM = 3.0
@@ -885,7 +891,8 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
     """Return the tiling of a header. Raises PixsimError if it is damaged, or if it would take
     forever.
     """
-    max_tiles, max_cells = 2 * _TILE_COUNTS[-1], 2 * _PSF_SIDES[-1]
+    max_tiles = 2 * _TILE_COUNTS[-1]
+    max_cells = 2 * _PSF_SIDES[-1]
     try:
         tiling = TypeAdapter(Tiling).validate_python(stated)
         tiles = max(image.shape) * image.pitch_um / tiling.spacing_um
@@ -1144,7 +1151,8 @@ def _tiling_without_blur(points: _TestPoints, light: ChannelWavefronts) -> Tilin
     """Return the tiling of a film whose cells are too coarse for waves, with the error of leaving
     the blur of rays out.
     """
-    camera, pitch_um = points.camera, points.pitch_um
+    camera = points.camera
+    pitch_um = points.pitch_um
     frequency_y = np.fft.fftfreq(_COARSE_WINDOW, pitch_um)
     frequency_x = np.fft.rfftfreq(_COARSE_WINDOW, pitch_um)
 

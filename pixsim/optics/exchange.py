@@ -109,11 +109,10 @@ def read_with_camera(
         return image, camera_of_light(image, options, lens, path)
     cube = foreign.read_cube(path)
     pitch_known = cube.pitch_um is not None and options.die_mm is None
-    die_mm = (
-        _positive(path, "pitch_um", cube.pitch_um) * cube.data.shape[1] / 1e3
-        if pitch_known
-        else Camera().die_mm
-    )
+    if pitch_known:
+        die_mm = _positive(path, "pitch_um", cube.pitch_um) * cube.data.shape[1] / 1e3
+    else:
+        die_mm = Camera().die_mm
     camera = camera_with_lens(
         options.over(checked(Camera, [Layer({"die_mm": die_mm}, f"'{path}'")])), options, lens
     )

@@ -156,8 +156,10 @@ class FittedWavefronts:
         """Return how far rays that fill the pupil evenly land from the point of the field, (n, 2):
         sagittal and radial.
         """
-        numbers, exponents = self.at(height_um), powers()
-        half_widths, lateral_colour_um = numbers[:2], numbers[2]
+        numbers = self.at(height_um)
+        exponents = powers()
+        half_widths = numbers[:2]
+        lateral_colour_um = numbers[2]
         coefficients = numbers[3 : 3 + len(exponents)]
 
         # Rays on a spiral with the golden angle.
@@ -191,7 +193,8 @@ def fit_wavefronts(
     """
     exponents = powers()
     needed = 2 * len(exponents)
-    numbers, residual_waves = [], 0.0
+    numbers = []
+    residual_waves = 0.0
     for node_um, front in zip(height_um, wavefronts, strict=True):
         is_finite = np.isfinite(front.opd_waves)
         if len(is_finite) < needed or not (is_finite.all() and np.isfinite(front.cosines).all()):
@@ -202,7 +205,8 @@ def fit_wavefronts(
             )
 
         # Directions in half widths from the middle of the pupil.
-        low, high = front.cosines.min(axis=0), front.cosines.max(axis=0)
+        low = front.cosines.min(axis=0)
+        high = front.cosines.max(axis=0)
         half = np.array([max(high[0], -low[0]), (high[1] - low[1]) / 2])
         middle = np.array([0.0, (high[1] + low[1]) / 2])
         u, v = ((front.cosines - middle) / half).T
@@ -266,7 +270,8 @@ def _share_inside(distance: Array, slope: Array) -> Array:
     slope : of the edge to the other axis, 0 to 1
     """
     slope = np.maximum(slope, 1e-6)
-    low, high = (1 - slope) / 2, (1 + slope) / 2
+    low = (1 - slope) / 2
+    high = (1 + slope) / 2
     corners = [np.square(np.maximum(distance + shift, 0.0)) for shift in (high, low, -low, -high)]
     area = (corners[0] - corners[1] - corners[2] + corners[3]) / (2 * slope)
     return np.asarray(np.clip(area, 0.0, 1.0))
@@ -283,7 +288,8 @@ def pupil_function(
     numbers : of `FittedWavefronts.at`
     azimuth : of the image point, radians from +x (columns) to +y (rows)
     """
-    half, lateral_colour_um = numbers[:2], numbers[2]
+    half = numbers[:2]
+    lateral_colour_um = numbers[2]
     coefficients, outline = np.split(numbers[3:].astype(np.float32), [len(powers())])
     radial = np.array([np.cos(azimuth), np.sin(azimuth)])
     sagittal = np.array([-np.sin(azimuth), np.cos(azimuth)])
@@ -374,7 +380,8 @@ def _antialias_edge(
     # sample's area.
     edge_width = 1.5 * step / half.min()
     cut = np.nonzero((np.abs(inside) < edge_width) & (radius > edge_width))
-    unit_u, unit_v = u[cut] / radius[cut], v[cut] / radius[cut]
+    unit_u = u[cut] / radius[cut]
+    unit_v = v[cut] / radius[cut]
     turning = slopes[below[cut]] * ((OUTLINE_ANGLES - 1) / np.pi) / (inside[cut] + radius[cut])
     gradient_u = (turning * unit_v * np.sign(unit_u) - unit_u) / half[0]
     gradient_v = (-turning * np.abs(unit_u) - unit_v) / half[1]
@@ -382,7 +389,8 @@ def _antialias_edge(
     gradient_x = gradient_u * sagittal[0] + gradient_v * radial[0]
     gradient_y = gradient_u * sagittal[1] + gradient_v * radial[1]
 
-    steep_x, steep_y = np.abs(gradient_x), np.abs(gradient_y)
+    steep_x = np.abs(gradient_x)
+    steep_y = np.abs(gradient_y)
     steepest = np.maximum(steep_x, steep_y)
     distance = inside[cut] / (steepest * step)
     share[cut] = _share_inside(distance, np.minimum(steep_x, steep_y) / steepest)
@@ -510,7 +518,8 @@ def periodic_psf(
 
     window : even
     """
-    azimuth, height_um = math.atan2(y_um, x_um), math.hypot(x_um, y_um)
+    azimuth = math.atan2(y_um, x_um)
+    height_um = math.hypot(x_um, y_um)
     numbers = [front.at(height_um) for front in light.fronts]
     size_um = window * pitch_um
 
@@ -594,7 +603,8 @@ def _sampled_on_film(
     shape : (H, W) of the window in film cells
     """
     height, width = shape
-    down, across = transform.shape[0] // 2, transform.shape[1] - 1
+    down = transform.shape[0] // 2
+    across = transform.shape[1] - 1
     rows = np.fft.fftfreq(2 * down + 1, 1 / (2 * down + 1))
     columns = np.arange(across + 1)
     real = transform.real.dtype
@@ -639,7 +649,8 @@ def _integral_of_j0(end: Array) -> Array:
     as long.
     """
     node, weight = np.polynomial.legendre.leggauss(_GAUSS_NODES)
-    node, weight = (1 + node) / 2, weight / 2
+    node = (1 + node) / 2
+    weight = weight / 2
     last = np.floor(end)
     intervals = j0(np.arange(last.max(initial=0.0))[:, None] + node) @ weight
     up_to_integers = np.concatenate([[0.0], np.cumsum(intervals)])
@@ -721,7 +732,8 @@ class RadialPsfs:
         Raises PixsimError beyond `max_height_um`, and for a film with cells smaller than
         `pitch_um`.
         """
-        window, radius = _turned_window_cells(cells), cells // 2
+        window = _turned_window_cells(cells)
+        radius = cells // 2
         kernels = irfft2(self.transform(places_um, pitch_um, (window, window)), (window, window))
         kernels = np.roll(kernels, (radius, radius), axis=(1, 2))[:, :cells, :cells]
         return [Psf(kernel.astype(np.float32)) for kernel in kernels]
@@ -843,7 +855,8 @@ def _spline_values(
     flat = coefficients.ravel()
     table_start = height * width * np.arange(count).reshape(-1, *[1] * (row.ndim - 1))
 
-    top, left = row.astype(np.intp), column.astype(np.intp)
+    top = row.astype(np.intp)
+    left = column.astype(np.intp)
     row_weights = _b_spline_weights((row % 1).astype(np.float32))
     column_weights = _b_spline_weights((column % 1).astype(np.float32))
     columns = [
@@ -963,7 +976,8 @@ def _equivalent_tile(x: int, y: int, shape: tuple[int, ...]) -> tuple[int, int]:
     """Return the place (x, y) whose PSF a tile has but for mirrors: x ≥ y ≥ 0 if rows and columns
     may change places.
     """
-    x, y = abs(x), abs(y)
+    x = abs(x)
+    y = abs(y)
     return (y, x) if y > x and shape[0] % 2 == shape[1] % 2 else (x, y)
 
 

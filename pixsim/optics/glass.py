@@ -251,7 +251,8 @@ _SHARED_NAMES = re.compile(
 _SIX_DIGITS = re.compile(r"(\d{3})(\d{3})|(\d{3,6})\.(\d{3,6})")
 _HIGH_INDEX = 300  # a code of less is that of n_d above 2: no glass has n_d below 1.4
 # Of two statements of one glass, V_d relative: melts and rounding differ by less.
-TOLERANCE_N_D, TOLERANCE_V_D = 5e-4, 0.01
+TOLERANCE_N_D = 5e-4
+TOLERANCE_V_D = 0.01
 
 
 def _code_numbers(name: str) -> tuple[float, float] | None:

@@ -59,7 +59,8 @@ _MM_PER_NM = 1e-6
 # Degree of the polynomial from the stop to the entrance pupil: within 1e-9 of its radius for a
 # Cooke triplet at 20°; and the rays on half of the stop to which it is fitted.
 _DEGREE = 11
-_RINGS, _SPOKES = 8, 13
+_RINGS = 8
+_SPOKES = 13
 # Distance from the wanted point of the stop, over the stop's radius: 1e-7 waves at 100 waves of
 # tilt.
 _AIM_TOLERANCE = 1e-9
@@ -82,12 +83,16 @@ _OUTLINE_STEPS, _OUTLINE_REACH = (
 )  # of the distance to the foretold edge
 _MIDDLE_STEPS = 3  # each is a 20th of the one before: slivers of 1e-4 of a pupil
 # Of edges in direction cosines, and of field angles in degrees.
-_ROOT_STEPS, _ROOT_WIDTH, _ROOT_VALUE = 60, 1e-12, 1e-11
+_ROOT_STEPS = 60
+_ROOT_WIDTH = 1e-12
+_ROOT_VALUE = 1e-11
 _INSIDE = 1 + 1e-12  # of the stop's edge
 
-_STEEPEST_DEG, _FIELD_COUNT = 89.0, 179
+_STEEPEST_DEG = 89.0
+_FIELD_COUNT = 179
 # Of the search for the largest field that can be traced, in tenths of a degree.
-_LIMIT_FIELDS, _LIMIT_PER_DEG = 33, 10
+_LIMIT_FIELDS = 33
+_LIMIT_PER_DEG = 10
 _WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
 _FOCUS_STEP_MM = 1e-3
 # With an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding.
@@ -282,14 +287,16 @@ def _entrance_pupil_diameter_mm(bare: Lens, focal_mm: float, object_mm: float) -
     Raises PixsimError for a numerical aperture that the object's distance does not allow.
     """
     prescription = bare.prescription
-    kind, aperture = prescription.aperture, prescription.aperture_value
+    kind = prescription.aperture
+    aperture = prescription.aperture_value
     if kind == "f_number" or (kind == "working_f_number" and math.isinf(object_mm)):
         return focal_mm / aperture
 
     if kind == "working_f_number":
         # A paraxial ray of slope 1 from the object on the axis has the object's distance as its
         # height in the pupil, and the slope in the image grows with that height.
-        height, slope = np.array([prescription.object_distance_mm]), np.array([1.0])
+        height = np.array([prescription.object_distance_mm])
+        slope = np.array([1.0])
         indices = bare._indices(np.array([prescription.primary_nm]))
         _, image_slope = paraxial(prescription.surfaces, indices, height, slope)
         return object_mm / (aperture * abs(float(image_slope.flat[0])))
@@ -373,7 +380,8 @@ def _last_traced_field(lens: Lens, limit_deg: float) -> tuple[float, float]:
     wavelengths, and the step to that one, both in degrees.
     """
     nm = np.unique(lens.prescription.wavelengths_nm)
-    traced_deg, step_deg = 0.0, limit_deg
+    traced_deg = 0.0
+    step_deg = limit_deg
     while step_deg > 1 / _LIMIT_PER_DEG and traced_deg < limit_deg:
         # Finer and finer, behind the last field that is traced.
         fields = np.linspace(traced_deg, min(traced_deg + step_deg, limit_deg), _LIMIT_FIELDS)
@@ -707,7 +715,8 @@ class Lens:
             if not is_moving.any():
                 break
 
-            before_mm, miss_before_mm = height_mm, miss_mm
+            before_mm = height_mm
+            miss_before_mm = miss_mm
             height_mm = height_mm - np.where(is_moving, secant_mm, 0.0)
             miss_mm = stop_height_mm(height_mm)
 
@@ -816,7 +825,8 @@ class Lens:
             step = np.where(is_moving[..., None], step, 0.0)
             pupil_x_mm = pupil_x_mm + step[..., 0]
             pupil_y_mm = pupil_y_mm + step[..., 1]
-            miss_before, miss = miss, misses(pupil_x_mm, pupil_y_mm)
+            miss_before = miss
+            miss = misses(pupil_x_mm, pupil_y_mm)
 
             # The rank-one update after which the inverse turns this change of the miss into this
             # step.
@@ -844,7 +854,8 @@ class Lens:
         start = self._rays_at_entrance_pupil(field_deg, x_mm, y_mm)
         for number, rays in enumerate(trace(start, surfaces, indices)):
             if number == self.prescription.stop:
-                stop_x_mm, stop_y_mm = rays.x, rays.y
+                stop_x_mm = rays.x
+                stop_y_mm = rays.y
         at_image = at_plane(rays, surfaces[-1].thickness_mm, indices[-1])
         return at_image, stop_x_mm, stop_y_mm
 
@@ -867,7 +878,8 @@ class Lens:
             return rays
 
         index = int(np.argmax(is_lost))
-        angle_deg, nm = float(field_deg[index]), float(wavelength_nm[index])
+        angle_deg = float(field_deg[index])
+        nm = float(wavelength_nm[index])
         pupil_y_mm = float(pupil_heights_mm[index])
         if not math.isfinite(pupil_y_mm):
             pupil_y_mm = self._nearest_chief_height_mm(angle_deg, nm)
@@ -980,7 +992,8 @@ class Lens:
         is_lost = ~np.isfinite(traced)
         if is_lost.any():
             condition, index = (int(part) for part in np.argwhere(is_lost)[0])
-            angle_deg, point = field_deg[condition], points[index]
+            angle_deg = field_deg[condition]
+            point = points[index]
             where = self._where_aimed_ray_ends(
                 angle_deg, wavelength_nm[condition], point.real, point.imag
             )
@@ -1255,14 +1268,16 @@ class Lens:
     def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
         """Return `outline` of fields and wavelengths in one line, (C,)."""
         chief = self._checked_chief_rays(field_deg, wavelength_nm)
-        height_mm, chief_cosine = chief.y[:, 0], chief.m[:, 0]
+        height_mm = chief.y[:, 0]
+        chief_cosine = chief.m[:, 0]
         centre = self._middle_of_light(field_deg, wavelength_nm, height_mm, chief_cosine)
         is_dark = np.isnan(centre)
         centre = np.where(is_dark, chief_cosine, centre)
 
         # The half with x > 0; the other one is its mirror image.
         angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2
-        cosine, sine = np.cos(angle), np.sin(angle)
+        cosine = np.cos(angle)
+        sine = np.sin(angle)
 
         def excess(radius: Array) -> Array:
             """Return how far outside light is in the lens, below 0 where it passes."""
@@ -1311,7 +1326,8 @@ class Lens:
             is_inside = (above <= 0) & (high < horizon)
             if not is_inside.any():
                 break
-            low, below = np.where(is_inside, high, low), np.where(is_inside, above, below)
+            low = np.where(is_inside, high, low)
+            below = np.where(is_inside, above, below)
             high = np.where(is_inside, np.minimum(horizon, share * edge), high)
             above = np.where(is_inside, excess(high), above)
         return low, below, high, above
@@ -1464,7 +1480,8 @@ class Lens:
         surfaces = self.prescription.surfaces
         indices = self._indices(wavelengths)
         start = self._rays_at_entrance_pupil(fields, pupil_x_mm, pupil_y_mm)
-        points, vertex_mm = [], 0.0
+        points = []
+        vertex_mm = 0.0
         for surface, rays in zip(surfaces, trace(start, surfaces, indices), strict=True):
             points.append([rays.x[0], rays.y[0], rays.z[0] + vertex_mm])
             vertex_mm += surface.thickness_mm
@@ -1629,7 +1646,8 @@ class Lens:
         reflectance : share of the light that coated surfaces in air reflect; bare glass by default
         """
         # The marginal ray at the first vertex.
-        height_mm, slope = self.entrance_pupil_diameter_mm / 2, 0.0
+        height_mm = self.entrance_pupil_diameter_mm / 2
+        slope = 0.0
         if math.isfinite(self.object_distance_mm):
             slope = height_mm / self.object_distance_mm
             height_mm -= slope * self._entrance_pupil_mm
@@ -1731,7 +1749,8 @@ class Lens:
         indices = self._indices(np.array([wavelength_nm or self.primary_nm]))
 
         # A ray parallel to the axis, or from the object's point on the axis.
-        height_mm, angle = np.array([1.0]), np.array([0.0])
+        height_mm = np.array([1.0])
+        angle = np.array([0.0])
         if math.isfinite(self.object_distance_mm):
             height_mm = np.array([self.object_distance_mm - self._entrance_pupil_mm])
             angle = np.array([1.0])
@@ -1750,7 +1769,8 @@ class Lens:
         # Gauss-Legendre over the area of the picture, equal rings and angles over half of the stop.
         node, share = np.polynomial.legendre.leggauss(4)
         if not largest_deg:
-            node, share = np.array([-1.0]), np.array([2.0])
+            node = np.array([-1.0])
+            share = np.array([2.0])
         tangents = math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2)
         nm = self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)
         fields = np.repeat(np.degrees(np.arctan(tangents)), len(nm))
@@ -1758,7 +1778,8 @@ class Lens:
         wavelengths = np.tile(np.array(nm), node.size)
         radius = np.sqrt((np.arange(8) + 0.5) / 8)[:, None]
         angle = (np.arange(24) + 0.5) * (np.pi / 24) - np.pi / 2
-        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        x = (radius * np.cos(angle)).ravel()
+        y = (radius * np.sin(angle)).ravel()
 
         waves = self.wavefront(fields, wavelengths, x, y)
         moved = self._with_image_plane_moved(_FOCUS_STEP_MM).wavefront(fields, wavelengths, x, y)
@@ -1826,7 +1847,8 @@ def _root(
     below, above : values there, at most 0 and above 0
     """
     side = np.zeros(low.shape)
-    root, value = low, below
+    root = low
+    value = below
     for _ in range(_ROOT_STEPS):
         is_open = (high - low > _ROOT_WIDTH) & (np.abs(value) > _ROOT_VALUE)
         if not is_open.any():
@@ -1844,8 +1866,10 @@ def _root(
         outside = is_open & ~(value <= 0)
         above = np.where(inside & (side > 0), above / 2, above)
         below = np.where(outside & (side < 0), below / 2, below)
-        low, below = np.where(inside, root, low), np.where(inside, value, below)
-        high, above = np.where(outside, root, high), np.where(outside, value, above)
+        low = np.where(inside, root, low)
+        below = np.where(inside, value, below)
+        high = np.where(outside, root, high)
+        above = np.where(outside, value, above)
         side = np.where(inside, 1.0, np.where(outside, -1.0, side))
     return root
 
@@ -1894,7 +1918,8 @@ _EXPONENTS = tuple(
 
 def _monomials(x: Array, y: Array) -> _Bases:
     """Return the monomials odd in x, and even in x, at points (P,), both (P, terms)."""
-    powers_x, powers_y = _powers(x), _powers(y)
+    powers_x = _powers(x)
+    powers_y = _powers(y)
     odd_terms, even_terms = ((powers_x[i] * powers_y[j]).T for i, j in _EXPONENTS)
     return odd_terms, even_terms
 
@@ -1916,7 +1941,8 @@ def _polynomial_values(terms: Array, basis: Array) -> Array:
 
 def _monomial_slopes(x: Array, y: Array) -> tuple[_Bases, _Bases]:
     """Return the derivatives of the monomials of `_monomials`, by x and by y."""
-    powers_x, powers_y = _powers(x), _powers(y)
+    powers_x = _powers(x)
+    powers_y = _powers(y)
     by_x = [(i[:, None] * powers_x[np.maximum(i - 1, 0)] * powers_y[j]).T for i, j in _EXPONENTS]
     by_y = [(j[:, None] * powers_x[i] * powers_y[np.maximum(j - 1, 0)]).T for i, j in _EXPONENTS]
     return (by_x[0], by_x[1]), (by_y[0], by_y[1])

@@ -65,7 +65,8 @@ _MAX_DISTANCE_MM = 1e13  # of an object that is not at infinity: `FAR` in m
 # What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal
 # numbers take very long.
 _MIN_LENGTH_MM = 1e-7  # of a thickness or an opening: an atom
-MIN_CURVATURE_PER_MM, MIN_CONIC = 1e-12, 1e-9
+MIN_CURVATURE_PER_MM = 1e-12
+MIN_CONIC = 1e-9
 _MIN_SAG_MM = 1e-15  # of a term of an asphere at `_MAX_LENGTH_MM`
 _WAVELENGTHS_NM = (10.0, 1e6)
 F_NUMBERS = (0.1, 1e5)
@@ -653,11 +654,10 @@ def _read_toml(
 
 def _single_stop(stops: set[int], where: str, count: int, hint: str) -> int:
     if len(stops) != 1 or not max(stops) < count:
-        got = (
-            "no surface"
-            if not stops
-            else f"surfaces {', '.join(str(index + 1) for index in sorted(stops))}"
-        )
+        if not stops:
+            got = "no surface"
+        else:
+            got = f"surfaces {', '.join(str(index + 1) for index in sorted(stops))}"
         raise invalid(f"stop of {where}", got, f"one of the surfaces 1 to {count}", hint)
     return stops.pop()
 
@@ -1475,7 +1475,8 @@ def _fixed_semi_diameters(
     """Return the refracting surfaces, but the stop, whose semi-diameter is fixed without an
     aperture.
     """
-    indices, medium = [], AIR
+    indices = []
+    medium = AIR
     for index, (block, surface) in enumerate(zip(blocks, surfaces, strict=True)):
         fixed = any(line.words[1:2] in ([flag] for flag in FIXED) for line in block.all("DIAM"))
         if (

@@ -80,7 +80,8 @@ class Pupil:
         """Return the direction cosines at angles φ, (..., φ), and their derivatives by φ, both
         (..., φ, 2).
         """
-        cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
+        cosine = np.cos(angle)[..., None]
+        sine = np.sin(angle)[..., None]
         centre, radial, tangential = (
             part[..., None, :] for part in (self.centre, self.radial, self.tangential)
         )

@@ -84,7 +84,8 @@ def trace(
         for number, surface in enumerate(surfaces):
             if number:
                 rays = replace(rays, z=rays.z - surfaces[number - 1].thickness_mm)
-            before, behind = indices[number], indices[number + 1]
+            before = indices[number]
+            behind = indices[number + 1]
             rays = intersect(rays, surface, before)
             rays = refracted(rays, surface, before, behind)
             yield rays
@@ -96,8 +97,11 @@ def intersect(rays: Rays, surface: Surface, index: float | Array) -> Rays:
 
     index : of the medium in front of the surface
     """
-    c, k = surface.curvature_per_mm, surface.conic
-    ray_l, ray_m, ray_n = rays.l, rays.m, rays.n
+    c = surface.curvature_per_mm
+    k = surface.conic
+    ray_l = rays.l
+    ray_m = rays.m
+    ray_n = rays.n
 
     # First to the plane of the vertex, so that what follows is small.
     t = -rays.z / ray_n
@@ -162,7 +166,8 @@ def sag_and_slope(surface: Surface, square: Array) -> tuple[Array, Array]:
 
     NaN beyond the end of the conic.
     """
-    c, k = surface.curvature_per_mm, surface.conic
+    c = surface.curvature_per_mm
+    k = surface.conic
     root = np.sqrt(1 - (1 + k) * c * c * square)
     sag = c * square / (1 + root)
     slope = c / root
@@ -196,10 +201,12 @@ def refracted(rays: Rays, surface: Surface, before: float | Array, behind: float
     """Return rays behind a surface on which they lie: Snell's law in vectors."""
     if before is behind or (np.ndim(before) == np.ndim(behind) == 0 and before == behind):
         return rays
-    c, k = surface.curvature_per_mm, surface.conic
+    c = surface.curvature_per_mm
+    k = surface.conic
     ratio = before / behind
     if not c and not surface.asphere:
-        cosine, normal = rays.n, None
+        cosine = rays.n
+        normal = None
     else:
         if surface.asphere:
             _, slope = sag_and_slope(surface, rays.x * rays.x + rays.y * rays.y)

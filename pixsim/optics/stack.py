@@ -227,11 +227,10 @@ def collected_shares(
     Raises PixsimError if a wavelength is not positive.
     """
     if wavelength_nm is None or not stack.microlens:
-        shares = (
-            _shares_of_pupil(stack, pupil)
-            if isinstance(pupil, Pupil)
-            else _shares_of_rays(stack, pupil)
-        )
+        if isinstance(pupil, Pupil):
+            shares = _shares_of_pupil(stack, pupil)
+        else:
+            shares = _shares_of_rays(stack, pupil)
         if wavelength_nm is None:
             return shares
         return np.repeat(shares[..., None, :, :], np.size(wavelength_nm), axis=-3)
@@ -401,17 +400,21 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
     point, low, high = _pieces(stack, pupil, np.concatenate(edges, axis=-1))
     angle = low[:, None] + (high - low)[:, None] * (1 + NODES) / 2
     at, slope = _boundary(stack, pupil.at(point), angle)
-    x, y = at[..., 0], at[..., 1]
+    x = at[..., 0]
+    y = at[..., 1]
     rise = slope[..., 1] * WEIGHTS * (high - low)[:, None] / 2
 
     # The integrals along x may begin at any constant.
     start = chief[point, :1]
     area = (rise * _moment(start, x, y, 0, exact)).sum(axis=-1)
 
-    x, y, start = x[..., None], y[..., None], start[..., None]
+    x = x[..., None]
+    y = y[..., None]
+    start = start[..., None]
     middle = centre[point, None, 0]
     across = np.abs(y - centre[point, None, 1])
-    first, last = middle - half, middle + half
+    first = middle - half
+    last = middle + half
     if stack.microlens:
         inside = np.asarray(across < half, float)
         along = _moment(np.clip(start, first, last), np.clip(x, first, last), y, 0, exact)
@@ -506,7 +509,8 @@ def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp],
     point = np.concatenate([line[which], np.repeat(np.arange(count), _PIECES + 1)])
     cut = np.concatenate([cut, np.tile(np.linspace(0, 2 * np.pi, _PIECES + 1), count)])
     order = np.lexsort((cut, point))
-    point, cut = point[order], cut[order]
+    point = point[order]
+    cut = cut[order]
     pieces = np.flatnonzero((np.diff(point) == 0) & (np.diff(cut) > 0))
     return point[pieces], cut[pieces], cut[pieces + 1]
 
@@ -530,7 +534,8 @@ def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slo
     off 1e-18 of the pupil.
     """
     low, high = (np.broadcast_to(side, (axis.size, STEPS)) for side in (nodes[:-1], nodes[1:]))
-    before, after = slope[:, :-1], slope[:, 1:]
+    before = slope[:, :-1]
+    after = slope[:, 1:]
     turning = before * after < 0
 
     # Where the straight line between the slopes at the ends is 0; the middle of other steps.

@@ -12,7 +12,9 @@ from pixsim.scene.colour_chart import write_colour_axis
 from pixsim.scene.own_chart import SUFFIXES, read_luminance, with_border
 from pixsim.show.document import Document
 
-PICTURE, TARGET, CSF = "a picture", "the chart target", "the chart csf"
+PICTURE = "a picture"
+TARGET = "the chart target"
+CSF = "the chart csf"
 _CHART_OF_OPTION = {  # option -> what takes it alone
     **dict.fromkeys(("linear", "aspect"), PICTURE),
     **dict.fromkeys(("shape", "size_um", "contrast", "direction"), TARGET),

@@ -97,7 +97,9 @@ from pixsim.viewer.setting import Run, stage_words
 
 _JSON_FILE = "compare.json"
 _SCORES = "scores"
-FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
+FIGURE_WIDTH_IN = 6.0
+FIGURE_BORDER_IN = 0.8
+ROW_IN = 0.4
 
 
 def _cost_of(job: ComparisonJob) -> Cost:
@@ -105,7 +107,9 @@ def _cost_of(job: ComparisonJob) -> Cost:
     repeats = job.repeats + (
         0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles)
     )
-    seconds, largest_bytes, cores = START_S + PAGE_S, 0.0, processors().usable
+    seconds = START_S + PAGE_S
+    largest_bytes = 0.0
+    cores = processors().usable
     for group in job.groups:
         for case in group.cases:
             request = group.request(case, group.film_width)
@@ -138,7 +142,8 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
     out : folder that would be written
     """
-    group, first = job.shown, job.shown.first
+    group = job.shown
+    first = job.shown.first
     scene = first.scene.with_resolution(group.film_width)
     height, across = scene.film_shape(first.camera, scene.for_camera(first.camera))
     types = None if job.types is None else job.types.sample
@@ -276,7 +281,8 @@ def comparison_page(result: Comparison) -> Document:
     end = scale_end(max(sensor.score.statistics()["p99_delta_e"] for sensor in result.sensors))
     pictures = dict[str, bytes]()
     for sensor in result.sensors:
-        score, where = sensor.score, picture_axes(sensor.light.image, sensor.score.border_um)
+        score = sensor.score
+        where = picture_axes(sensor.light.image, sensor.score.border_um)
         pictures[f"pictures/image_{sensor.name}.png"] = light_png(score.image)
         pictures[f"pictures/ideal_{sensor.name}.png"] = light_png(score.ideal)
         pictures[f"pictures/delta_e_{sensor.name}.png"] = delta_e_png(score.delta_e, where, end)
@@ -338,7 +344,8 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     """Return a row for each sensor: its mean, its pixels, lens and exposure, and numbers of its
     first frame.
     """
-    condition, shared = result.shown.first.condition, shared_stages(result.shown)
+    condition = result.shown.first.condition
+    shared = shared_stages(result.shown)
     unit = metric.unit and f" ({metric.unit})"
     mean = "mean ΔE" if metric.is_delta_e else f"{metric.words}{unit}"
     numbers = ("mean electrons", "full well", "saturated (%)")
@@ -454,7 +461,8 @@ def data(result: Comparison) -> dict[str, Any]:
     With conditions the answers are by the weighted mean, and all else is of the condition whose
     pictures are shown.
     """
-    job, group = result.job, result.shown
+    job = result.job
+    group = result.shown
     content: dict[str, Any] = {
         "names": list(result.names),
         "match": job.match,
@@ -566,7 +574,10 @@ def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:
     """Return the entry of a sensor in compare.json; `statistics` are of its first frame, as in
     score.json.
     """
-    case, settings, score, light = sensor.case, sensor.case.settings, sensor.score, sensor.light
+    case = sensor.case
+    settings = sensor.case.settings
+    score = sensor.score
+    light = sensor.light
     return {
         **_case_data(case),
         "file": case.file,
@@ -627,7 +638,8 @@ def _sections(result: Comparison, scale_end_delta_e: float) -> Iterator[Section]
 
     scale_end_delta_e : of the colour scale of the ΔE maps
     """
-    job, sensors = result.job, result.sensors
+    job = result.job
+    sensors = result.sensors
     tables = [_differences(result, metric) for metric in requested_metrics(job)]
     yield Section(
         "differences",
@@ -739,7 +751,8 @@ def _settings(result: Comparison) -> list[Block]:
     """Return the settings of each sensor side by side, then the common settings, and the settings
     of each condition.
     """
-    group, study = result.shown, result.job.study
+    group = result.shown
+    study = result.job.study
     is_coloured = any(case.settings.pixel.colour for case in group.cases)
     scene = _scene_rows(result)
 

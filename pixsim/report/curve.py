@@ -68,8 +68,10 @@ def optimum_line(curve: Curve) -> str:
 
 def _optimum_parts(curve: Curve) -> list[Text]:
     """Return the parts of the headline on an optimum, without the label."""
-    best, value = curve.optimum, _best_value_words(curve)
-    size, limits = f"{best.pitch_um:.2f} µm", f"(95 %: {interval_words(curve)})"
+    best = curve.optimum
+    value = _best_value_words(curve)
+    size = f"{best.pitch_um:.2f} µm"
+    limits = f"(95 %: {interval_words(curve)})"
     end = "" if best.inside else ", the end of the range"
     if curve.no_difference_um is not None:
         low, high = curve.no_difference_um
@@ -97,13 +99,13 @@ def _best_value_words(curve: Curve) -> str:
     """Return the first metric at the optimum as text, with half of its 95 % interval; of ΔE as
     `shown_mean_of`.
     """
-    metric, best = curve.metrics[0], curve.optimum
+    metric = curve.metrics[0]
+    best = curve.optimum
     low, high = best.value_interval
-    value = (
-        with_error(best.value, (high - low) / 2)
-        if not metric.is_delta_e
-        else shown_mean_of(curve, best.mean_delta_e)
-    )
+    if not metric.is_delta_e:
+        value = with_error(best.value, (high - low) / 2)
+    else:
+        value = shown_mean_of(curve, best.mean_delta_e)
     return f"{metric.words} {value} {metric.unit}".rstrip()
 
 
@@ -112,11 +114,10 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
     rows = []
     for curve in curves:
         best = curve.optimum
-        size = (
-            f"{best.pitch_um:.2f}"
-            if best.inside
-            else f"none; lowest at {best.pitch_um:.2f}, the end of the range"
-        )
+        if best.inside:
+            size = f"{best.pitch_um:.2f}"
+        else:
+            size = f"none; lowest at {best.pitch_um:.2f}, the end of the range"
         value = _best_value_words(curve).removeprefix(f"{curve.metric.words} ")
         rows.append(
             (curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um))
@@ -143,11 +144,9 @@ def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
 
 def interval_words(curve: Curve) -> str:
     """Return the 95 % interval of a curve's optimum as text; none where the fit swings."""
-    return (
-        "unknown beside the steep flank"
-        if curve.fit_swings
-        else interval(curve.optimum.interval_um)
-    )
+    if curve.fit_swings:
+        return "unknown beside the steep flank"
+    return interval(curve.optimum.interval_um)
 
 
 # --- its figure
@@ -193,7 +192,8 @@ def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
         )
 
     # The fitted curve with its interval.
-    metric, fit = curve.metrics[0], curve.fit
+    metric = curve.metrics[0]
+    fit = curve.fit
     low = metric.from_loss(fit.low)
     high = metric.from_loss(fit.high)
     fitted = metric.from_loss(fit.delta_e)

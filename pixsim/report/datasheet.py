@@ -51,7 +51,8 @@ FILES = ("report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES))
 @figure("photon_transfer", "Photon transfer: the slope is the system gain K.")
 def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
     """Temporal variance against mean signal, both minus the dark."""
-    transfer, signal = sheet.transfer, sheet.signal_dn
+    transfer = sheet.transfer
+    signal = sheet.signal_dn
     expected, expected_variance = sheet.expected
     table = {
         "photons_p": sheet.light.at,
@@ -79,7 +80,8 @@ def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
 @figure("responsivity", "Responsivity R: the slope of signal over photons.")
 def _responsivity_plate(sheet: DataSheet) -> Drawing:
     """Mean signal against photons."""
-    transfer, photons = sheet.transfer, sheet.light.at
+    transfer = sheet.transfer
+    photons = sheet.light.at
     fitted_dn = transfer.responsivity_dn_per_p.value * photons
     table = {"photons_p": photons, "signal_dn": sheet.signal_dn, "fitted_dn": fitted_dn}
     lines = (
@@ -93,7 +95,8 @@ def _responsivity_plate(sheet: DataSheet) -> Drawing:
 @figure("snr", "Signal over noise. The dynamic range lies between the vertical lines.")
 def _snr_plate(sheet: DataSheet) -> Drawing:
     """SNR with temporal noise and with total noise against photons, log-log."""
-    transfer, rising = sheet.transfer, sheet.rising
+    transfer = sheet.transfer
+    rising = sheet.rising
     signal = rising.mean_dn - sheet.dark.mean_dn
     electrons = transfer.efficiency.value * rising.at
     noise_e2 = transfer.dark_noise_e.value**2 + 1 / 12 / transfer.gain_dn_per_e.value**2 + electrons
@@ -126,7 +129,8 @@ def _snr_plate(sheet: DataSheet) -> Drawing:
 )
 def _linearity_plate(sheet: DataSheet) -> Drawing:
     """Relative deviation of the mean signal from a straight line, in the range that counts."""
-    linearity, light = sheet.linearity, sheet.light
+    linearity = sheet.linearity
+    light = sheet.light
     error_percent = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
     table = {
         "photons_p": light.at,
@@ -151,7 +155,8 @@ def _dark_current_plate(sheet: DataSheet) -> Drawing:
     """Mean and variance of dark frames against integration time, and dark current against
     temperature.
     """
-    dark, gain = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
+    dark = sheet.dark_series
+    gain = sheet.transfer.gain_dn_per_e.value
     temperatures_k, warm_currents = sheet.warm_currents
     table: dict[str, Array] = {
         "integration_s": dark.at,
@@ -204,7 +209,8 @@ def _histogram_plate(sheet: DataSheet) -> Drawing:
     for name, deviation in deviations(sheet).items():
         limit = 1.02 * max(float(np.abs(deviation).max()), 1e-9)
         counts, edges = np.histogram(deviation, np.linspace(-limit, limit, _BINS + 1))
-        centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(deviation.std()), 1e-12)
+        centres = (edges[1:] + edges[:-1]) / 2
+        sigma = max(float(deviation.std()), 1e-12)
         normal = (
             deviation.size
             * np.diff(edges)
@@ -247,7 +253,8 @@ def _spectrogram_plate(sheet: DataSheet) -> Drawing:
     for name, deviation in deviations(sheet).items():
         lines = []
         for direction, axis in (("horizontal", 1), ("vertical", 0)):
-            x, y = f"{name}_{direction}_frequency", f"{name}_{direction}_amplitude"
+            x = f"{name}_{direction}_frequency"
+            y = f"{name}_{direction}_amplitude"
             table[x], power = spectrogram(deviation, axis)
             table[y] = np.sqrt(power)
             lines.append(Line(x, y, f"{name.upper()}, {direction}", MARKED_LINE))
@@ -305,7 +312,8 @@ def _measured_text(entry: Entry) -> str:
 
 def datasheet_answer(sheet: DataSheet) -> Answer:
     """Return the most important values, and the pixel and the measurement that they are of."""
-    experiment, physics = sheet.experiment, sheet.experiment.physics
+    experiment = sheet.experiment
+    physics = sheet.experiment.physics
     readout = experiment.readout
     entries = {entry.symbol: entry for entry in sheet.entries}
     values = ", ".join(
@@ -341,7 +349,8 @@ def _entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
     for standard, entries in groupby(sheet.entries, attrgetter("standard")):
         rows.append((standard,))
         for entry in entries:
-            error, true = _value_text(entry.standard_error, 2), _value_text(entry.true)
+            error = _value_text(entry.standard_error, 2)
+            true = _value_text(entry.true)
             rows.append(
                 (entry.quantity, entry.symbol, _measured_text(entry), error, true, entry.unit)
             )
@@ -353,7 +362,8 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     not hold.
     """
     experiment = sheet.experiment
-    pixel, readout = experiment.pixel, experiment.readout
+    pixel = experiment.pixel
+    readout = experiment.readout
     texts = []
     if pixel.black_level_dn != experiment.stated_black_dn:
         texts.append(
@@ -391,7 +401,8 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
 
 def measurement_words(sheet: DataSheet) -> str:
     """Return how the values were measured, and of which pixels."""
-    physics, side = sheet.experiment.physics, sheet.experiment.readout.bin_side
+    physics = sheet.experiment.physics
+    side = sheet.experiment.readout.bin_side
     words = (
         "Measured on frames of one simulated device. datasheet.csv has the source of each true"
         " value."

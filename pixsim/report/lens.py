@@ -48,7 +48,8 @@ FIGURES = (
 )
 FILES = ("report.html", "summary.json", *figure_files(FIGURES))
 
-ANGLE, HEIGHT = "field angle (degrees)", "image height (mm)"
+ANGLE = "field angle (degrees)"
+HEIGHT = "image height (mm)"
 GLASS: dict[str, Any] = {"facecolor": "#dfe9f2", "edgecolor": "0.35", "lw": 0.9}
 
 
@@ -377,7 +378,8 @@ _LENS_NUMBERS = (
 
 def _lens_values(data: LensData) -> dict[str, Any]:
     """Return summary.json."""
-    lens, prescription = data.lens, data.lens.prescription
+    lens = data.lens
+    prescription = data.lens.prescription
     content = {
         **{name: getattr(prescription, name) for name in ("name", "title", "source")},
         **{name: getattr(lens, name) for name in _LENS_NUMBERS},
@@ -443,12 +445,12 @@ def _lens_csv(data: LensData) -> str:
 
 def _title_of(data: LensData) -> str:
     """Return one line that says which lens this is."""
-    lens, first = data.lens, data.primary
-    object_place = (
-        "infinity"
-        if math.isinf(lens.object_distance_mm)
-        else f"{lens.object_distance_mm / 1e3:.4g} m"
-    )
+    lens = data.lens
+    first = data.primary
+    if math.isinf(lens.object_distance_mm):
+        object_place = "infinity"
+    else:
+        object_place = f"{lens.object_distance_mm / 1e3:.4g} m"
     return (
         f"{one_line(lens.prescription.name)}: f = {first.focal_length_mm:.5g} mm,"
         f" {f_stop(first.f_number)}, fields to {lens.max_field_deg:.4g}°, image heights to"
@@ -539,11 +541,10 @@ def _ghost_table(data: LensData) -> DocumentTable:
         "disc of a point (mm)",
     )
     total = sum(ghost.share for ghost in data.ghosts)
-    coating = (
-        "bare glass"
-        if data.reflectance is None
-        else f"a coating that reflects {100 * data.reflectance:.3g} %"
-    )
+    if data.reflectance is None:
+        coating = "bare glass"
+    else:
+        coating = f"a coating that reflects {100 * data.reflectance:.3g} %"
     caption = (
         f"Light on the axis: {100 * total:.3g} % by all pairs, with {coating}, the nearest focus"
         " last"

@@ -55,7 +55,9 @@ WIDTH_IN = 6.4
 _PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
-SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
+SHORT = 36
+SHORT_AXIS = 32
+SHORT_TICK = 16
 # of a value, for the colours of a map: rounding errors would look like changes
 _MIN_COLOUR_SPAN = 0.02
 _DODGE_PT = 3.0  # between lines, whose bars would hide each other
@@ -316,7 +318,8 @@ def _unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
     used = {name.casefold() for name in taken}
     unique = []
     for name in names:
-        text, number = name, 1
+        text = name
+        number = 1
         while text.casefold() in used:
             number += 1
             text = f"{name}_{number}"
@@ -722,11 +725,9 @@ class Group:
 def one_at_a_time_plate(result: CasesResult) -> Plate | None:
     """Return the figure of the axes that are moved alone about the base, or None."""
     names = [axis.name for axis in result.study.axis if axis.alone]
-    return (
-        tornado(result, one_at_a_time_groups(result, names))
-        if names and _bases_of(result)
-        else None
-    )
+    if names and _bases_of(result):
+        return tornado(result, one_at_a_time_groups(result, names))
+    return None
 
 
 @figure(

@@ -19,13 +19,18 @@ if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
 
 NAME = "noise_budget"  # of the figure
-REMAINDER, RENDER, ALL_CAUSES, MEASURED = "remainder", "render", "all causes", "measured"
+REMAINDER = "remainder"
+RENDER = "render"
+ALL_CAUSES = "all causes"
+MEASURED = "measured"
 _ORDER = (
     "Each cause is switched off in the order of the table, and stays off. Variances add; parts of"
     " the mean ΔE depend on the order."
 )
 _MAX_SIZES = 6  # pixels in one figure
-BAR_IN, MARGIN_IN, LEGEND_IN = 0.28, 1.1, 0.5
+BAR_IN = 0.28
+MARGIN_IN = 1.1
+LEGEND_IN = 0.5
 
 
 def _budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:

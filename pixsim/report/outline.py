@@ -49,7 +49,8 @@ def _common_entries(
 
     options : of the camera, as the user gave them
     """
-    settings, camera = job.settings, job.camera
+    settings = job.settings
+    camera = job.camera
     limits = settings.model_dump(include=set(Effort.model_fields), exclude_none=True)
     return {
         "scene": source,
@@ -165,7 +166,8 @@ def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
         )
         blocks.append(f"in focus, with blur of one pixel at most: {near} to {far}")
 
-    light, samples = plan.light, plan.samples
+    light = plan.light
+    samples = plan.samples
     passes = f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
     if samples.exact:
         passes = "no samples"

@@ -19,11 +19,13 @@ TICKS = 10  # at most, along the whole width
 # Beside the axes and between them there is room for the labels of six characters, such as -0.025,
 # and the name of the axis.
 _MARGINS_IN = {"left_in": 0.85, "right_in": 0.2, "top_in": 0.28}
-BOTTOM_IN, BETWEEN_IN = 0.5, 0.9
+BOTTOM_IN = 0.5
+BETWEEN_IN = 0.9
 LEGEND_IN, ROW_IN = 0.35, 0.2  # height of a legend of one row, and of another row
 _HEIGHT_IN = 4.0
 # For panels that share their scales: labels at their ends do not meet
-BETWEEN_SHARED_IN, TICKS_SHARED = (0.4, 4)
+BETWEEN_SHARED_IN = 0.4
+TICKS_SHARED = 4
 _MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
 _NO_KEYWORDS: Mapping[str, Any] = {}

@@ -34,7 +34,8 @@ def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> Pi
     extent_mm = left, right, bottom, top = extent(irradiance, border_um)
     frequencies = csf_range_lp_per_mm(irradiance, border_um)
     if frequencies is None:
-        across, down = _even_ticks(left, right), _even_ticks(top, bottom)
+        across = _even_ticks(left, right)
+        down = _even_ticks(top, bottom)
         return PictureAxes(
             extent_mm,
             AxisLabels("x on the sensor (mm)", across),

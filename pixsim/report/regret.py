@@ -116,7 +116,8 @@ def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
         *(str(number) for number, _ in enumerate(regrets.criteria, 1)),
     )
 
-    rows, matrix_rows = [], []
+    rows = []
+    matrix_rows = []
     for place, (criterion, criterion_regrets) in enumerate(
         zip(regrets.criteria, regrets.matrix.tolist(), strict=True)
     ):

@@ -196,7 +196,8 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
 
     warned : notes that a reader of the terminal has seen
     """
-    header, has_delta_e = result.irradiance.header, judged_by_delta_e(result.settings)
+    header = result.irradiance.header
+    has_delta_e = judged_by_delta_e(result.settings)
     scene = Path(
         str(header.get("scene", header.get("source", "a picture of another program")))
     ).stem
@@ -222,7 +223,8 @@ def run_page(
 
     progress : of the frames
     """
-    score, irradiance = result.score, result.irradiance
+    score = result.score
+    irradiance = result.irradiance
     if files.irradiance == "factors" and not irradiance.factors:
         words = (
             "the light has no factors (spectrum × picture): irradiance.exr holds its bands in full"
@@ -290,7 +292,8 @@ def data(result: RunResult) -> dict[str, Any]:
     border that is not scored. `in_focus_m` are the nearest and the farthest depth with a blur disc
     of a pixel at most, the farthest null if infinite.
     """
-    settings, score = result.settings, result.score
+    settings = result.settings
+    score = result.score
     in_focus_m = depth_of_field_m(result.camera, score.physics.read_pitch_um)
     content = {
         **plain(result.statistics[0]),
@@ -420,11 +423,10 @@ def assumption(result: RunResult) -> str:
     """Return what was assumed of the technology and the lens, which nobody stated; empty for
     nothing.
     """
-    lens_assumption = (
-        ""
-        if result.prepared.cases[0].picture
-        else result.prepared.stated.camera.assumption(result.camera)
-    )
+    if result.prepared.cases[0].picture:
+        lens_assumption = ""
+    else:
+        lens_assumption = result.prepared.stated.camera.assumption(result.camera)
     return "; ".join(filter(None, (result.settings.pixel.assumption, lens_assumption)))
 
 
@@ -501,16 +503,15 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
             f"{threshold:g} is reached at {rounded(factor, 3)} times this contrast, where contrasts"
             " are small"
         )
-    return (
-        f"no multiple of its contrast reaches {threshold:g}: {reason}"
-        if d_prime >= threshold
-        else f"not seen: {reason}"
-    )
+    if d_prime >= threshold:
+        return f"no multiple of its contrast reaches {threshold:g}: {reason}"
+    return f"not seen: {reason}"
 
 
 def threshold_pitch_words(threshold: Threshold) -> str:
     """Return at which values of the scene's parameter a target is seen."""
-    lower, upper = threshold.value, threshold.upper_value
+    lower = threshold.value
+    upper = threshold.upper_value
     if lower is None and upper is None:
         tried = span(min(threshold.tried), max(threshold.tried), ".4g")
         reason = f": {threshold.reason}" if threshold.reason else ""
@@ -561,7 +562,8 @@ def _exposure_words(result: RunResult) -> str:
     """Return the exposure time, whether it is the longest that is allowed, and the share of
     saturated pixels if that is visible.
     """
-    frame, exposure = result.score.frame, result.settings.exposure
+    frame = result.score.frame
+    exposure = result.settings.exposure
     words = f"exposed for {exposure_time(frame.integration_s)}"
     longest_s = exposure.times * exposure.max_integration_s
     if exposure.integration_s is None and frame.integration_s >= longest_s:
@@ -627,7 +629,8 @@ def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
 
 def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
     """Yield the map of the errors, as PNG, and the detail with the largest ones."""
-    score, p99 = result.score, result.statistics[0]["p99_delta_e"]
+    score = result.score
+    p99 = result.statistics[0]["p99_delta_e"]
     end = scale_end(p99)
     yield Map(delta_e, f"S-CIELAB ΔE. One dot in a hundred has more than {estimate(p99)}.")
     window = worst_window([score.delta_e])
@@ -658,16 +661,16 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     statistics = result.statistics[0]
     for name in _shown_statistics(result):
         if name in _STATISTICS_WORDS:
-            value = (
-                estimate(statistics[name])
-                if name.endswith("_delta_e")
-                else rounded(statistics[name], 4)
-            )
+            if name.endswith("_delta_e"):
+                value = estimate(statistics[name])
+            else:
+                value = rounded(statistics[name], 4)
             # A data sheet gives the numbers of the whole pixel
             if name != "fill_factor" or value != "1":
                 yield _STATISTICS_WORDS[name], value
 
-    imaging, longest_path_um = result.chain.imaging, result.chain.moving.longest_um
+    imaging = result.chain.imaging
+    longest_path_um = result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(
         imaging, result.irradiance, longest_path_um
     )
@@ -684,7 +687,8 @@ def _budgets_of(result: RunResult) -> dict[str, NoiseBudget]:
 def _settings(result: RunResult) -> list[DocumentTable]:
     """Return the settings of a run, with their meaning and source."""
     from_data_sheet = result.score.physics.technology.name == NO_TECHNOLOGY
-    settings, irradiance = result.settings, result.irradiance
+    settings = result.settings
+    irradiance = result.irradiance
     light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
     scene = scene_rows(irradiance, settings.scene, light)
     scene.append(

@@ -41,7 +41,8 @@ def scene_rows(
     parameters : of the scene, as set by the user
     sources : dotted name -> source of its value
     """
-    header, sources = irradiance.header, sources or {}
+    header = irradiance.header
+    sources = sources or {}
     default = sources.get("scene.parameters", "set")
     file = header.get("scene", header.get("source"))
     rows = [("file", file, "scene or picture", sources.get("scene.file", ""))] if file else []
@@ -78,7 +79,8 @@ def record_rows(
         _PROCESS_SETTINGS if from_data_sheet and isinstance(record, PixelOptions) else frozenset()
     )
     left_out |= frozenset() if coloured else _COLOUR_SETTINGS
-    fields, rows = type(record).model_fields, []
+    fields = type(record).model_fields
+    rows = []
     for key, value in record.model_dump(exclude_none=True, exclude=set(left_out)).items():
         meaning = re.sub(r"\bNone: ", "left out: ", fields[key].description or "")
         source = (sources or {}).get(

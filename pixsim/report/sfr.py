@@ -58,7 +58,8 @@ _ATTRIBUTES = (
 
 def _sfr_data(edge: EdgeResponse) -> dict[str, Any]:
     """Return summary.json: frequencies in cy/px, and in cy/mm if the pitch is known."""
-    mtf50, ends = edge.mtf50_cy_per_px, edge.mtf50_interval_cy_per_px
+    mtf50 = edge.mtf50_cy_per_px
+    ends = edge.mtf50_interval_cy_per_px
     at_nyquist, *interval = edge.at(NYQUIST_CY_PER_PX)
     data: dict[str, Any] = {name: getattr(edge, name) for name in _ATTRIBUTES} | {
         "mtf50_interval_cy_per_px": list(ends),
@@ -87,11 +88,10 @@ def sfr_parts(data: Mapping[str, Any]) -> list[str]:
 
     data : of `_sfr_data`
     """
-    bow = (
-        f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})"
-        if data["edge_degree"] > 1
-        else ""
-    )
+    if data["edge_degree"] > 1:
+        bow = f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})"
+    else:
+        bow = ""
     at_nyquist = with_ends(data["sfr_at_nyquist"], data["sfr_at_nyquist_interval"])
     return [
         f"{data['channel'] or ''} {_mtf50_words(data)}, SFR {at_nyquist} at"
@@ -145,9 +145,13 @@ def _sfr_table(edge: EdgeResponse) -> dict[str, Array]:
 def _sfr_plate(edge: EdgeResponse) -> Drawing:
     """Plot the SFR against frequency, with the Nyquist frequency and the MTF50."""
     table = _sfr_table(edge)
-    x, scale, unit = "frequency_cy_per_px", 1.0, "cycles/pixel"
+    x = "frequency_cy_per_px"
+    scale = 1.0
+    unit = "cycles/pixel"
     if edge.pitch_um is not None:
-        x, scale, unit = "frequency_cy_per_mm", 1e3 / edge.pitch_um, "cycles/mm on the sensor"
+        x = "frequency_cy_per_mm"
+        scale = 1e3 / edge.pitch_um
+        unit = "cycles/mm on the sensor"
     marks = {"Nyquist": NYQUIST_CY_PER_PX * scale}
     if edge.mtf50_cy_per_px is not None:
         marks["MTF50"] = edge.mtf50_cy_per_px * scale

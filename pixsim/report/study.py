@@ -252,11 +252,9 @@ class PictureTask(NamedTuple):
     pitch_um: float
 
     def __str__(self) -> str:
-        return (
-            f"maps of {self.pitch_um:g} µm pixels"
-            if self.pitch_um
-            else f"pictures of {self.technology}"
-        )
+        if self.pitch_um:
+            return f"maps of {self.pitch_um:g} µm pixels"
+        return f"pictures of {self.technology}"
 
 
 def make_pictures(
@@ -568,7 +566,8 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
     """Yield the pictures of each technology."""
     study = result.study
     for number, view in enumerate(views, 1):
-        caption, label = f"detail in {view.label}", capital(view.label)
+        caption = f"detail in {view.label}"
+        label = capital(view.label)
         yield Section(
             "", f"{label}: the same detail for every pixel size", [Tiles(view.tiles, caption)]
         )
@@ -590,11 +589,12 @@ def _paper(rows: Sequence[Finding]) -> list[Block]:
     """Return the statements of the paper, if they are compared."""
     head = "statement of the paper", "paper", "pixsim", "agrees"
     statements = [(row.statement, row.given, row.found, agrees(row.agrees)) for row in rows]
-    return (
-        [PAPER, DocumentTable("statements of the paper", head, statements, words=None, stacks=True)]
-        if rows
-        else []
-    )
+    if rows:
+        return [
+            PAPER,
+            DocumentTable("statements of the paper", head, statements, words=None, stacks=True),
+        ]
+    return []
 
 
 def agrees(is_agreed: bool) -> Text:

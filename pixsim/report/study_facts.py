@@ -75,14 +75,12 @@ def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
         for name, contrast in zip(INFORMATION.variants, contrasts, strict=False)
         if name in curve.fits
     ]
-    return (
-        [
+    if sizes:
+        return [
             f"{curve.label}: best size by information at other contrasts of the scene:"
             f" {', '.join(sizes)}"
         ]
-        if sizes
-        else []
-    )
+    return []
 
 
 def study_facts(result: StudyResult) -> list[Block]:

@@ -22,11 +22,10 @@ def results_document(result: ResultsComparison) -> Document:
     of all differences.
     """
     sentences = verdicts(result)
-    unpaired = (
-        [Fact(f"{result.only_in_one} rows are in only one of the results")]
-        if result.only_in_one
-        else []
-    )
+    if result.only_in_one:
+        unpaired = [Fact(f"{result.only_in_one} rows are in only one of the results")]
+    else:
+        unpaired = []
     content = {
         "names": list(result.names),
         "verdicts": sentences,

@@ -124,11 +124,10 @@ def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...
         low, median, high = (f"{size_um:.2f} µm" for size_um in result.optimum.quantiles.values())
         name = f"{result.label}: " if result.label else ""
         types = f"{result.draws} sensor types"
-        at_ends = (
-            f"{percent(result.share_at_ends)} at an end of the sizes tried"
-            if result.share_at_ends
-            else ""
-        )
+        if result.share_at_ends:
+            at_ends = f"{percent(result.share_at_ends)} at an end of the sizes tried"
+        else:
+            at_ends = ""
         blocks.append(
             headline(
                 [
@@ -152,7 +151,8 @@ def pair_words(distribution: PairUncertainty) -> str:
     and what matters most.
     """
     first, other = distribution.names
-    better, metric = distribution.probability_a_better, distribution.metric
+    better = distribution.probability_a_better
+    metric = distribution.metric
     low, middle, high = (f"{value:+.2g}" for value in distribution.difference.quantiles.values())
     judge = "" if metric.is_delta_e else f"{metric.words}: "
     unit = " ΔE" if metric.is_delta_e else metric.unit and f" {metric.unit}"

@@ -165,7 +165,8 @@ def better_cases_words(result: Comparison, other: str) -> str:
 
     other : name of the other one
     """
-    first, metric = result.names[0], requested_metrics(result.job)[0]
+    first = result.names[0]
+    metric = requested_metrics(result.job)[0]
     places: dict[int, list[str]] = {1: [], -1: [], 0: []}
     for case in result.cases:
         is_turned = metric.is_delta_e and dependences(case, other)
@@ -177,11 +178,10 @@ def better_cases_words(result: Comparison, other: str) -> str:
     }
     parts = []
     for sign, values in places.items():
-        where = (
-            f"in all {len(values)} cases"
-            if len(values) == len(result.cases)
-            else f"at {'; '.join(values)}"
-        )
+        if len(values) == len(result.cases):
+            where = f"in all {len(values)} cases"
+        else:
+            where = f"at {'; '.join(values)}"
         parts += [f"{words[sign]} {where}"] if values else []
     metric_words = "" if metric.is_delta_e else f" in {metric.words}"
     return f"{', '.join(parts)}{metric_words} with match {result.job.match}"
@@ -259,11 +259,10 @@ def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
 def sensor_words(sensor: Case[Run]) -> str:
     """Return a sensor's pixels and lens in words."""
     rows, columns = pixels_of(sensor)
-    technology = (
-        ""
-        if sensor.settings.pixel.technology == NO_TECHNOLOGY
-        else f" ({label_of(sensor.settings.pixel.technology)})"
-    )
+    if sensor.settings.pixel.technology == NO_TECHNOLOGY:
+        technology = ""
+    else:
+        technology = f" ({label_of(sensor.settings.pixel.technology)})"
     return (
         f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind"
         f" {sensor.camera.lens_words}"
@@ -280,7 +279,8 @@ def common_words(job: ComparisonJob) -> list[str]:
     """Return what all sensors of a comparison have in common; where conditions differ, in the
     condition whose pictures are shown.
     """
-    group, first = job.shown, job.shown.first
+    group = job.shown
+    first = job.shown.first
     has_delta_e = judged_by_delta_e(job.base[0])
     words = []
     if job.study is not None:
@@ -316,7 +316,8 @@ def common_words(job: ComparisonJob) -> list[str]:
 
 def _match_words(job: ComparisonJob) -> str:
     """Return what the lenses of the sensors have in common."""
-    camera, sensor = job.shown.first.camera, job.shown.first.sensor
+    camera = job.shown.first.camera
+    sensor = job.shown.first.sensor
     match job.match:
         case "view":
             stop = f_stop(camera.f_number)

@@ -90,7 +90,8 @@ def study_views(result: StudyResult, curve: Curve) -> Views:
         tiles.append(Picture(display_codes(detail), size, mean, best=index == best))
 
     end = map_end(result)
-    outputs, details = [], []
+    outputs = []
+    details = []
     for index, score in scores.items():
         size, mean = labels(curve, index)
         name = rank(curve, index)

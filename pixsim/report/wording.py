@@ -34,11 +34,10 @@ def rendered_words(header: Mapping[str, Any]) -> str:
     """
     if "scene_hash" not in header:
         return f"read from {header['source']}" if "source" in header else "given, not rendered"
-    rays = (
-        f"{header['spp']} rays for each sample of the film"
-        if header["spp"]
-        else "computed from the chart"
-    )
+    if header["spp"]:
+        rays = f"{header['spp']} rays for each sample of the film"
+    else:
+        rays = "computed from the chart"
     return f"{header['scene']} (hash {header['scene_hash']}), {rays}, {header['variant']}"
 
 
@@ -52,7 +51,8 @@ def weighted_answer(regrets: Regrets) -> Answer:
             f"{regrets.label}: the conditions have too few pixel sizes in common to find one that"
             " suits all"
         )
-    best, metric = weighted.optimum, weighted.metric
+    best = weighted.optimum
+    metric = weighted.metric
     low, high = best.value_interval
     value = f"{within_error(best.value, (high - low) / 2)} {metric.unit}".rstrip()
     first, _, words = metric.best.partition(" ")
@@ -95,7 +95,8 @@ def lens_words(camera: Camera) -> str:
     """
     if camera.lens is None:
         return ""
-    lens, name = camera.lens, Path(camera.lens.file).stem
+    lens = camera.lens
+    name = Path(camera.lens.file).stem
     return (
         f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, {f_stop(lens.f_number)}, a field of"
         f" {camera.field_words}"

@@ -369,7 +369,8 @@ def fit(
     few, or if the lamp is dark. The error bounds light from these surfaces and sums of it; light
     from other surfaces may have a larger error.
     """
-    step_nm, span = lamp.step_nm, bands.span
+    step_nm = lamp.step_nm
+    span = bands.span
     nodes_nm = grid_nm(step_nm, span)
     light = lamp.on_grid(step_nm, span)
     bright_nm = nodes_nm[light > 0]

@@ -117,7 +117,8 @@ def primaries() -> tuple[Array, Array]:
     """
     path = str(resources.files("pixsim") / "data/display_primaries.csv")
     table = np.loadtxt(path, delimiter=",", skiprows=3)
-    table_nm, powers = table[:, 0], table[:, 1:]
+    table_nm = table[:, 0]
+    powers = table[:, 1:]
 
     nm = grid_nm()
     observer = colour_matching(grid_nm())

@@ -198,7 +198,8 @@ def _table_of(node: Node) -> Spectrum | None:
         if node.plugin == "irregular":
             return Spectrum(np.array(numbers(node["wavelengths"])), values)
         if "wavelength_min" in node:
-            low, high = float(node["wavelength_min"]), float(node["wavelength_max"])
+            low = float(node["wavelength_min"])
+            high = float(node["wavelength_max"])
         else:
             low, high = numbers(node["range"])
         return Spectrum(np.linspace(low, high, values.size), values)
@@ -403,7 +404,8 @@ class Surfaces:
 
         words : for the surface, in messages
         """
-        low, high = float(table.nodes_nm[0]), float(table.nodes_nm[-1])
+        low = float(table.nodes_nm[0])
+        high = float(table.nodes_nm[-1])
         ends_before = bool(low > self.span.low_nm and table.values[0] > 0)
         ends_after = bool(high < self.span.high_nm and table.values[-1] > 0)
 
@@ -641,10 +643,12 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
                 state.nodes[member] for member, owner in group_of_member.items() if owner == group
             ]
             box = _group_box(members)
-            to_frame, normal = to_camera @ transform_matrix(node), None
+            to_frame = to_camera @ transform_matrix(node)
+            normal = None
         else:
             box = _box(node)
-            to_frame, normal = to_camera, _facing(to_camera, node)
+            to_frame = to_camera
+            normal = _facing(to_camera, node)
         corners = None if box is None else _transformed(to_frame, box)
         bodies.append(Body(node=index, corners=corners, normal=normal))
     return bodies

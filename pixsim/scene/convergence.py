@@ -38,13 +38,15 @@ from pixsim.viewer.setting import Effort
 RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12
 MAX_SPP = 1024  # samples per film cell of one render
-PAIR, PAIRS_A_LEVEL = 2, 2
+PAIR = 2
+PAIRS_A_LEVEL = 2
 # With a time limit: a picture of a quarter of the samples comes sooner, and more are added to it.
 _FIRST_LEVEL = -1
 # times the samples of the first pair: what a render is expected to take before its noise is known
 UNKNOWN = 8.0
 # Of a time limit and beyond it, for the first pair, without which there is no picture.
-GRACE, GRACE_S = 0.5, 1.5
+GRACE = 0.5
+GRACE_S = 1.5
 _EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
 

@@ -23,9 +23,11 @@ MAX_ACROSS = 4096
 MAX_BYTES = 2 << 30
 # Samples of a picture, about 30 s on two cores: of a chart alone, whose light goes straight to the
 # lens, and of paths.
-CHART_SAMPLES, PATH_SAMPLES = 1 << 27, 20_000_000
+CHART_SAMPLES = 1 << 27
+PATH_SAMPLES = 20_000_000
 # Float64 light, its transforms and integrals; each pulse in two halves and the result.
-BYTES_PER_CELL, BYTES_PER_VALUE = 48, 24
+BYTES_PER_CELL = 48
+BYTES_PER_VALUE = 24
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
 _STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
@@ -61,7 +63,8 @@ def details_across(
     name = min(limits, key=lambda name: limits[name])
     details = limits[name]
     if details <= dots:
-        details, name = dots, "dots of the display"
+        details = dots
+        name = "dots of the display"
     if chart_details is not None and chart_details < details:
         return chart_details, "details of the chart"
     return details, name
@@ -78,7 +81,8 @@ def film_memory_bytes(cells: float, planes: int) -> float:
     """Return the memory alone: two planes of float64, work arrays, and the pictures that are not in
     a file (`base/mapped.py`).
     """
-    float64_bytes, float32_bytes = 8 * cells * planes, 4 * cells * planes
+    float64_bytes = 8 * cells * planes
+    float32_bytes = 4 * cells * planes
     pictures = float64_bytes, float64_bytes, float32_bytes, float32_bytes
     in_memory = sum(size for size in pictures if size <= MAX_MEMORY_BYTES)
     return PROGRAM_BYTES + _STRIP_BYTES + 16 * cells + in_memory

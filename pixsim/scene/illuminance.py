@@ -39,7 +39,8 @@ def strength(
     if not low <= lux <= high:
         raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{low:g} to {high:g} lx")
 
-    before, after = luminances(as_written), luminances(now)
+    before = luminances(as_written)
+    after = luminances(now)
     is_stated = all(lamp.spectrum is not None for lamp in (*as_written, *now))
     if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
         raise invalid(

@@ -105,9 +105,11 @@ class Inspection:
 
         luminance_cd_per_m2 = self.lamps[0].luminance_cd_per_m2
         radiance = spectrum.integral(*astuple(self.span))
-        name, value = WHITE_RADIANCE, radiance
+        name = WHITE_RADIANCE
+        value = radiance
         if luminance_cd_per_m2 > MIN_LM_PER_W * radiance:
-            name, value = LUMINANCE, luminance_cd_per_m2
+            name = LUMINANCE
+            value = luminance_cd_per_m2
         return {name: float(f"{value:.9g}")} if value > 0 else {}
 
     @property
@@ -140,7 +142,8 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
     Raises PixsimError for a scene without light in that range, for a lamp that is negative or not
     finite, and for a surface of which nobody says what it is there.
     """
-    state, reading = scene.for_camera(camera), scene.choice.reading
+    state = scene.for_camera(camera)
+    reading = scene.choice.reading
     sensor = sensor_node(state, scene.sensor_id)[1]
     height, width = scene.film_shape(camera, state)
     check_shares(state)
@@ -204,7 +207,8 @@ def _light_that_ends(inspection: Inspection) -> list[str]:
 
 def _table_that_ends(inspection: Inspection, lamp: Spectrum) -> list[str]:
     """Return warnings of a lamp's table that begins or ends with light."""
-    nodes_nm, values = lamp.nodes_nm, lamp.values
+    nodes_nm = lamp.nodes_nm
+    values = lamp.values
     if nodes_nm[-1] - nodes_nm[0] < _LINE_NM:
         return []
 

@@ -83,10 +83,8 @@ class Passes:
         values : (cells · passes · spp,) at each of the four wavelengths
         """
         count = len(self.groups)
-        sums, numbers = (
-            np.zeros((len(self.pulses), values[0].size // (count * spp))),
-            np.zeros(len(self.pulses)),
-        )
+        sums = np.zeros((len(self.pulses), values[0].size // (count * spp)))
+        numbers = np.zeros(len(self.pulses))
         for lane, lane_values in zip(self.lanes.T, values, strict=True):
             means = lane_values.reshape(-1, count, spp).mean(axis=2, dtype=np.float64)
             for pulse, mean in zip(lane, means.T, strict=True):

@@ -226,7 +226,8 @@ def evaluate_reflection(
     of 1 nm.
     """
     with mitsuba_session(variant) as mi:
-        bsdf, context = mi.load_dict(description), mi.BSDFContext()
+        bsdf = mi.load_dict(description)
+        context = mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
 
         def reflected(interaction: SurfaceInteraction3f) -> Spectrum:

@@ -32,10 +32,8 @@ ALLOWED = "an 8- or 16-bit PNG, JPEG, TIFF, Radiance HDR or EXR picture, grey or
 _LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # of linear sRGB (Rec. ITU-R BT.709-6)
 GREY = 0.18  # of white: the border, as a photographer's grey card
 _MAX_TEXELS = 1 << 27  # with the border: 512 MiB
-GREY_MODES, SIXTEEN_BIT_MODES = (
-    ("1", "L", "P", "RGB", "CMYK", "YCbCr"),
-    ("I;16", "I;16B", "I;16L", "I"),
-)
+GREY_MODES = ("1", "L", "P", "RGB", "CMYK", "YCbCr")
+SIXTEEN_BIT_MODES = ("I;16", "I;16B", "I;16L", "I")
 _ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
 
 
@@ -142,7 +140,8 @@ def with_border(picture: NDArray[np.float32], aspect: float) -> tuple[NDArray[np
         got = f"{columns} × {rows} texels with its border"
         raise invalid("chart picture", got, f"up to {_MAX_TEXELS}", "Scale it down.")
 
-    above, left = (rows - height) // 2, (columns - width) // 2
+    above = (rows - height) // 2
+    left = (columns - width) // 2
     margins = (above, rows - height - above), (left, columns - width - left)
     texels = np.pad(picture, margins, constant_values=np.float32(GREY))
     return texels, 1 - height * width / (rows * columns)

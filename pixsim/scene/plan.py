@@ -62,7 +62,8 @@ from pixsim.viewer.display_options import Display
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction
 # (rules.py).
-BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
+BANDS_SHARE = 0.25
+SPECTRUM_SHARE = 0.8
 _LUMINANCE_TOLERANCE = 5.0  # times the tolerance, for luminance of strongly coloured surfaces
 _COLOUR_TOLERANCE = 2.0  # times the tolerance, for a channel of a colour sensor
 _MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
@@ -410,7 +411,8 @@ def _plan_white_plate(
     inspection: Inspection, pixels: Sequence[PixelPhysics], tolerance_e: float
 ) -> WhitePlate:
     """Return how a white plate in a scene is rendered."""
-    camera, sensor = inspection.camera, inspection.sensor
+    camera = inspection.camera
+    sensor = inspection.sensor
     focus_m = camera.object_distance_m
     distance_m = plate_distance_m(inspection.state, sensor, focus_m)
     scene = replace(
@@ -446,7 +448,9 @@ def _plan_inspected_scene(
     pixels : whose electrons have the tolerance; none where nobody states one
     tiling, lens_decisions : from `decide_real_lens`
     """
-    scene, state, bodies = inspection.scene, inspection.state, inspection.bodies
+    scene = inspection.scene
+    state = inspection.state
+    bodies = inspection.bodies
     thin_camera = inspection.camera
     physics = pixels[0] if pixels else None
     film_camera = camera if tiling else without_lens(camera)
@@ -564,7 +568,8 @@ def _without_samples(plan: Plan) -> Plan:
     """Return the plan with film cells that are computed, if it is of a chart in focus that is seen
     straight; else the plan.
     """
-    chart, integrator = plan.film.chart, plan.samples.integrator
+    chart = plan.film.chart
+    integrator = plan.samples.integrator
     is_seen_straight = integrator is not None and integrator.get("max_depth") == 1
     if chart is None or chart.beyond is None or not is_seen_straight or plan.samples.given_spp:
         return plan
@@ -621,7 +626,8 @@ def _decide_light(
 
     max_surfaces : that light can meet; -1 for any number
     """
-    lamps, surfaces = inspection.lamps, inspection.surfaces
+    lamps = inspection.lamps
+    surfaces = inspection.surfaces
     detectors = _detectors(inspection.pixels)
     products = surfaces.products(1)[:0]
     if max_surfaces:
@@ -880,7 +886,8 @@ def decide_saturation(readout: Readout, integration_s: float) -> Decision:
     """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the
     well, holds below that limit.
     """
-    pixel, diode = readout.physics.pixel, readout.physics.diode
+    pixel = readout.physics.pixel
+    diode = readout.physics.diode
     full_well_e = readout.full_well_e
     if pixel.well_limit == "swing" or diode is None:
         clips = "at the well" if full_well_e <= readout.adc_range_e else "by the ADC"

@@ -346,7 +346,9 @@ class Renderer:
 
         state : the scene, parsed for the camera
         """
-        plan, scene, camera = self.plan, self.scene, self.camera
+        plan = self.plan
+        scene = self.scene
+        camera = self.camera
 
         # The lens sees the margin too.
         wide_camera = self.film_camera
@@ -526,7 +528,8 @@ class Renderer:
         requested_spp : samples per film cell and pass; most samplers round the number up, to
             stratify them
         """
-        light, sampler = self.plan.light.lamps[scene], self.plan.samples.sampler
+        light = self.plan.light.lamps[scene]
+        sampler = self.plan.samples.sampler
         renders = -(-requested_spp // _SPP_PER_RENDER)
         spp = self.tracer.sample_count(sampler, -(-requested_spp // renders))
 
@@ -641,7 +644,8 @@ class Renderer:
 
         Raises PixsimError if no light reaches the plate.
         """
-        light, plate = self.plan.light, self.plan.light.plate
+        light = self.plan.light
+        plate = self.plan.light.plate
         if not self.scene.diffuser:
             return {}
         if plate is None:

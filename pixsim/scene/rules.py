@@ -54,7 +54,8 @@ SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
 _ROUNDED_DOWN = 1.5  # to a sample count that is smaller by this factor at most
 # Fewest samples on a film finer than the scene's. Those of a chart are stratified, and have an
 # eighth of the noise of a single one; those of a path are independent.
-MIN_CHART_SPP, MIN_PATH_SPP = 2, 4
+MIN_CHART_SPP = 2
+MIN_PATH_SPP = 4
 # With 4 samples, multijitter correlates the dimensions of a path (still_life: 0.8 % too dark).
 _MIN_MULTIJITTER_SPP = 16
 _UNLIMITED = -1  # number of bounces or surfaces
@@ -127,9 +128,11 @@ class Chart:
         weights : (cells, n + 2), the first and the last of the texels beyond the sides
         n : texels along the axis
         """
-        first, last = 0, 0
+        first = 0
+        last = 0
         if weights.nnz:
-            first, last = weights.indices.min(), weights.indices.max()
+            first = weights.indices.min()
+            last = weights.indices.max()
         texels = np.arange(first, last + 1) - 1
 
         # Texels beyond the sides repeat the chart or its border.
@@ -231,7 +234,8 @@ def _cell_weights(
     first, stop, _ = cells.indices(count)
     edges = (n - covered) / 2 + covered * np.arange(first, stop + 1) / count + 0.5
     edges = np.clip(edges, 0.5, n + 0.5)
-    low, high = edges[:-1, None], edges[1:, None]
+    low = edges[:-1, None]
+    high = edges[1:, None]
     texels = np.floor(low).astype(int) + np.arange(math.ceil(covered / count) + 2)
 
     def area_below(edge: Array) -> Array:
@@ -458,7 +462,8 @@ def lone_chart(
         return None
     assert body.corners is not None
     assert body.normal is not None
-    up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
+    up = body.corners[1] - body.corners[0]
+    across = body.corners[2] - body.corners[0]
     row_step = -1 if up[1] * picture.along_v > 0 else 1
     column_step = -1 if across[0] * picture.along_u > 0 else 1
     texels = picture.texels[::row_step, ::column_step]
@@ -492,7 +497,8 @@ def _facing_half_m(state: Tree, body: Body) -> tuple[float, float] | None:
     half_m = float(np.ptp(body.corners[:, 1])) / 2, float(np.ptp(body.corners[:, 0])) / 2
     tolerance_m = _ALIGNED * min(half_m)
     middle = body.corners.mean(axis=0)
-    up, across = body.corners[1] - body.corners[0], body.corners[2] - body.corners[0]
+    up = body.corners[1] - body.corners[0]
+    across = body.corners[2] - body.corners[0]
 
     is_upright = max(abs(up[0]), abs(across[1])) <= tolerance_m
     is_centred = max(abs(middle[0]), abs(middle[1])) <= tolerance_m

@@ -46,18 +46,17 @@ from pixsim.scene.variants import variant as variants
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 
-CHART, CHART_LINEAR, TARGET_FILE, BEYOND_TABLES = (
-    "chart",
-    "chart_linear",
-    "target.exr",
-    "beyond_tables",
-)
+CHART = "chart"
+CHART_LINEAR = "chart_linear"
+TARGET_FILE = "target.exr"
+BEYOND_TABLES = "beyond_tables"
 # Parameters that only pixsim reads, of the packaged charts that have some.
 _PARAMETERS_OF_CHARTS = {
     "csf.exr": (charts.MAX_LP_PER_MM,),
     TARGET_FILE: tuple(Target.model_fields),
 }
-CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
+CHART_HALF_WIDTH = "chart_half_width"
+CHART_HALF_HEIGHT = "chart_half_height"
 _ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 _ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
 _LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
@@ -257,7 +256,8 @@ class Scene:
             *sides_mm,
             *texels,
         ]
-        shape, lengths_mm = (texels[0], texels[1]), (sides_mm[0], sides_mm[1])
+        shape = (texels[0], texels[1])
+        lengths_mm = (sides_mm[0], sides_mm[1])
         return charts.texture_file(content, partial(target.texels, shape, lengths_mm, size_mm))
 
     @property
@@ -331,7 +331,8 @@ def _chart_parameters(camera: Camera) -> dict[str, float]:
     """Return the values of scene parameters that fit a chart to a camera's die; lengths in m, in
     the plane in focus.
     """
-    width, height = camera.chart_half_width_m, camera.chart_half_height_m
+    width = camera.chart_half_width_m
+    height = camera.chart_half_height_m
     shorter = min(width, height)
     return {
         "chart_half_width": width,
@@ -639,7 +640,8 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
     place = f"{ILLUMINANCE} in '{scene.path.name}'"
     stated = _positive(place, text.defaults[ILLUMINANCE])
 
-    reading, parameter_names = scene.choice.reading, list(scene.parameters)
+    reading = scene.choice.reading
+    parameter_names = list(scene.parameters)
     lamps = find_lamps(scene.parse(), reading)
     as_written = lamps
     if parameter_names:

@@ -136,9 +136,11 @@ class Target(Record):
         the field; of a disc its bounding box.
         """
         half_mm = size_mm / 2
-        along, across = (-half_mm, half_mm), (-half_mm, half_mm)
+        along = (-half_mm, half_mm)
+        across = (-half_mm, half_mm)
         if self.shape == "edge":
-            along, across = (-np.inf, np.inf), (0.0, np.inf)
+            along = (-np.inf, np.inf)
+            across = (0.0, np.inf)
         elif self.shape == "bar":
             along = -half_mm * _BAR_LENGTH, half_mm * _BAR_LENGTH
         return (across, along) if self.direction == "horizontal" else (along, across)
@@ -176,12 +178,14 @@ def disc_cover(rows: Array, columns: Array, radius: float) -> Array:
     cover = np.zeros((rows.size - 1, columns.size - 1))
 
     # Cells that the disc touches
-    y, x = np.clip(rows / radius, -1, 1), np.clip(columns / radius, -1, 1)
+    y = np.clip(rows / radius, -1, 1)
+    x = np.clip(columns / radius, -1, 1)
     down, across = (
         slice(max(np.searchsorted(edges, -1, "right") - 1, 0), np.searchsorted(edges, 1) + 1)
         for edges in (y, x)
     )
-    y, x = y[down, None], x[across]
+    y = y[down, None]
+    x = x[across]
 
     def half_area(x: Array) -> Array:
         """Area between the x axis and the circle, from -1 to x."""

@@ -39,7 +39,8 @@ def inspect_radiance(path: Path, what: str) -> None:
     size = _HDR_SIZE.search(head)
     if not head.startswith(_RADIANCE_START) or size is None:
         raise invalid(f"{what} '{path}'", "no Radiance header with -Y and +X", "a Radiance HDR")
-    height, width = int(size[1]), int(size[2])
+    height = int(size[1])
+    width = int(size[2])
     if not 1 <= width * height <= MAX_PICTURE:
         raise invalid(
             f"{what} '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all"

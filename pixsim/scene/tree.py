@@ -32,7 +32,8 @@ _MIN_VOLUME = 1e-200  # of a transformed unit cube
 # Of a table: one whose numbers are so in another unit, and not in nm, has that unit.
 _LIKELY_NM = (150.0, 3000.0)
 # Characters of a scene whose tree stays in memory, and how many do.
-_MAX_CHARACTERS, _MAX_TREES = 1 << 16, 32
+_MAX_CHARACTERS = 1 << 16
+_MAX_TREES = 32
 
 
 @dataclass(frozen=True)
@@ -233,7 +234,8 @@ def _check_unit(what: str, wavelengths_nm: Sequence[float]) -> None:
     """Raise PixsimError for a table that ends outside the visible range and would not in another
     unit.
     """
-    low_nm, high_nm = wavelengths_nm[0], wavelengths_nm[-1]
+    low_nm = wavelengths_nm[0]
+    high_nm = wavelengths_nm[-1]
     if (high_nm < LOW_NM or low_nm > HIGH_NM) and (hint := unit_hint(wavelengths_nm, _LIKELY_NM)):
         got = f"wavelengths from {low_nm:g} to {high_nm:g} nm"
         raise invalid(

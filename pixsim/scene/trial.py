@@ -26,7 +26,8 @@ from pixsim.optics.thin_lens import field_factor
 from pixsim.scene import charts
 
 CODE = "import sys; sys.path[:] = {path!r}; from pixsim.scene.trial import main; main({variant!r})"
-SCENE, RESOLUTION = "csf", 64
+SCENE = "csf"
+RESOLUTION = 64
 POINTS = 16  # of the chart, along each side of a cell
 MAX_MEAN_ERROR, MAX_RMS_ERROR = 1e-3, 1e-2  # of the illuminance, normally 1e-5 and 4e-3
 
@@ -67,11 +68,10 @@ def trial_render(variant: str | None = None, *, limit_s: float) -> Trial:
     seconds = time.perf_counter() - start_s
 
     if done.returncode:
-        signals = (
-            f"dies of signal {-done.returncode} ({signal.Signals(-done.returncode).name})"
-            if done.returncode < 0
-            else "fails"
-        )
+        if done.returncode < 0:
+            signals = f"dies of signal {-done.returncode} ({signal.Signals(-done.returncode).name})"
+        else:
+            signals = "fails"
         return Trial(": ".join([signals, *done.stderr.strip().splitlines()[-1:]]), seconds)
     facts = json.loads(done.stdout.splitlines()[-1])
     return Trial(facts.pop("fault"), seconds, facts)

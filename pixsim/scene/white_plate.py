@@ -21,14 +21,17 @@ from pixsim.scene.tree import Node, Tree, nodes_of
 # Of the object's distance: how far before the plane in focus it stands, so that a chart in that
 # plane does not cover it; half of its side, so that surfaces at up to 60° behind it do not cut it;
 # and half of what is seen of it.
-BEFORE, HALF_SIDE, HALF_VIEW = 2e-3, 1e-3, 5e-4
+BEFORE = 2e-3
+HALF_SIDE = 1e-3
+HALF_VIEW = 5e-4
 STEPS = 1000  # along the axis, at which an object may begin
 _SOLID = "sphere", "cube", "cylinder"
 NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
 RESOLUTION, FIRST_SPP = 16, 64  # of its picture
 # of renders, each with four times the samples of the one before; of its radiance, where none
 # follows
-LEVELS, NOISE = 6, 1e-3
+LEVELS = 6
+NOISE = 1e-3
 SEED = 0
 
 
@@ -39,7 +42,8 @@ def plate_distance_m(state: Tree, sensor: Node, focus_m: float) -> float:
     just before this one. Objects that contain the lens, as a room does, are left out, and so are
     meshes.
     """
-    lens, axis = transform_matrix(sensor)[:3, 3], transform_matrix(sensor)[:3, 2]
+    lens = transform_matrix(sensor)[:3, 3]
+    axis = transform_matrix(sensor)[:3, 2]
     steps_m = np.linspace(0.0, focus_m, STEPS + 1)
     nearest_m = focus_m
     for _, node in nodes_of(state, "Shape"):
@@ -73,7 +77,8 @@ def _intersection_m(node: Node, lens: Array, axis: Array) -> float:
     """Return how far from the lens the axis meets a rectangle or a disc; infinity where it does
     not.
     """
-    origin, direction = _in_node(node, lens), _in_node(node, axis, 0.0)
+    origin = _in_node(node, lens)
+    direction = _in_node(node, axis, 0.0)
     distance_m = -origin[2] / direction[2] if direction[2] else math.inf
     if not 0 < distance_m < math.inf:
         return math.inf

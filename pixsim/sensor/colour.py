@@ -27,7 +27,8 @@ from pixsim.sensor.camera_data import camera_channels, camera_sensitivities
 from pixsim.sensor.colour_options import ColourOptions, channels_of, is_cell
 from pixsim.sensor.pixel_options import PixelOptions
 
-STACK_MARK, ROW_MARK = "+", "/"
+STACK_MARK = "+"
+ROW_MARK = "/"
 Values = TypeVar("Values", np.float64, np.bool_)
 
 

@@ -242,7 +242,8 @@ def _has_hard_edge(samples: Array) -> bool:
 
     All pictures pay for this; `_hard_edges` says where.
     """
-    first, second = samples[:-1], samples[1:]
+    first = samples[:-1]
+    second = samples[1:]
     return bool(np.any(np.maximum(first, second) > _EDGE_CONTRAST * np.minimum(first, second)))
 
 
@@ -251,7 +252,8 @@ def _hard_edges(samples: Array) -> NDArray[np.bool_]:
     `_EDGE_CONTRAST`, (n - 1, columns).
     """
     size = np.abs(samples)
-    first, second = size[:-1], size[1:]
+    first = size[:-1]
+    second = size[1:]
     return np.asarray(np.maximum(first, second) > _EDGE_CONTRAST * np.minimum(first, second))
 
 

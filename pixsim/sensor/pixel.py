@@ -1016,7 +1016,8 @@ def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> f
     )
     source = "pixel." if is_stated else f"{technology.name}: "
     if a_vt_mv_um is None or gate_um2 is None:
-        stated, missing = "a_vt_mv_um", "follower_area_um2"
+        stated = "a_vt_mv_um"
+        missing = "follower_area_um2"
         if gate_um2 is not None:
             stated, missing = missing, stated
         hint = "Or give offset_fpn in place of both."

@@ -118,11 +118,9 @@ class Plot:
 
     @cached_property
     def drawn(self) -> DrawnFigure:
-        return (
-            self._plate_or_drawn
-            if isinstance(self._plate_or_drawn, DrawnFigure)
-            else self._plate_or_drawn.drawn()
-        )
+        if isinstance(self._plate_or_drawn, DrawnFigure):
+            return self._plate_or_drawn
+        return self._plate_or_drawn.drawn()
 
     def drawn_as(self, figures: Figures) -> DrawnFigure:
         """Return the figure with the files that are asked for; a figure that was drawn elsewhere
@@ -287,11 +285,9 @@ def pairs(caption: str, values: Mapping[str, Any], digits: int = 4) -> DocumentT
 
 def plain_text(text: Text) -> str:
     """Return words without their marks."""
-    return (
-        text
-        if isinstance(text, str)
-        else "".join(part if isinstance(part, str) else part.text for part in text)
-    )
+    if isinstance(text, str):
+        return text
+    return "".join(part if isinstance(part, str) else part.text for part in text)
 
 
 def joined(parts: Iterable[Text], between: str = "; ") -> Text:

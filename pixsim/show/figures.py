@@ -259,11 +259,9 @@ def _reduced_png(encoded: str) -> str:
     from PIL import Image
 
     codes = np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("RGBA"))
-    return (
-        base64.b64encode(smallest_png(codes[:, :, :3])).decode()
-        if (codes[:, :, 3] == 255).all()
-        else encoded
-    )
+    if (codes[:, :, 3] == 255).all():
+        return base64.b64encode(smallest_png(codes[:, :, :3])).decode()
+    return encoded
 
 
 def finish(

@@ -27,10 +27,18 @@ _SCALE_STEPS = 5
 _VIEWING_GAMMA = 2.2
 _COLOUR_LEVEL = 3  # of zlib: a third of the default's time for a tenth more bytes
 # Layout of a map with axes, in px.
-MAP, LEFT, TOP, BOTTOM, RIGHT = 560, 110, 70, 80, 160
-BAR, BAR_GAP, TICK, GAP = 30, 50, 7, 5
+MAP = 560
+LEFT = 110
+TOP = 70
+BOTTOM = 80
+RIGHT = 160
+BAR = 30
+BAR_GAP = 50
+TICK = 7
+GAP = 5
 LINE = 19  # of text, in px
-BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+BLACK = (0, 0, 0)
+WHITE = (255, 255, 255)
 
 
 @dataclass(frozen=True)
@@ -156,7 +164,8 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
     """Return grey (H, W) or coloured (H, W, 3) codes as a PNG."""
     from PIL import Image, PngImagePlugin
 
-    metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
+    metadata = PngImagePlugin.PngInfo()
+    content = io.BytesIO()
     metadata.add_text("Software", "pixsim")
     # Noise does not repeat: run lengths alone take a sixth of the time and even fewer bytes.
     compression = (
@@ -200,7 +209,8 @@ def smallest_png(codes: NDArray[np.uint8]) -> bytes:
 
 COLUMNS = 6
 SHEET_MARGIN, SHEET_GAP, SHEET_FRAME = 16, 14, 3  # px
-TITLE, LABEL_WIDTH = 34, 112
+TITLE = 34
+LABEL_WIDTH = 112
 MAX_TITLE = 140  # characters
 
 
@@ -343,7 +353,8 @@ def reduced(luminance: Array) -> Array:
     incomplete last block is cut off.
     """
     rows, columns = luminance.shape[:2]
-    down, across = min(factor_for(luminance), rows), min(factor_for(luminance), columns)
+    down = min(factor_for(luminance), rows)
+    across = min(factor_for(luminance), columns)
     cropped = luminance[: rows // down * down, : columns // across * across]
     blocks = cropped.reshape(rows // down, down, columns // across, across, *luminance.shape[2:])
     return np.asarray(blocks.mean(axis=(1, 3)))

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 PAGE = "report.html"
-TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
+TEMPLATE = "document.html.j2"
+MACROS = "macros.html.j2"
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 _MAX_UNBROKEN_WORDS = 4  # words of a number and its unit that stay on one line
 _INDENT = "  "  # before the rows of a table, the items of a list, and what belongs to a headline

@@ -67,7 +67,8 @@ REFERENCE_TECHNOLOGY = "0.35um"
 _FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
 _FIGURE_2_RANGE_DB = (35.0, 70.0)
 FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
-OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
+OPTIMUM_UM = 6.5
+OPTIMUM_FILL_FACTOR = 0.30
 _TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
 _FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
@@ -382,7 +383,8 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     centres = evidence.frequencies_lp_per_mm
     title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
-        better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
+        better = limits[good] > limits[bad]
+        worse = limits[good] < limits[bad]
         result = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
         agrees = bool(better.any() and not worse.any())
         yield Finding(
@@ -393,7 +395,8 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     differing = np.flatnonzero(six != smallest)
     crosses = False
     if differing.size:
-        lowest, highest = differing[0], differing[-1]
+        lowest = differing[0]
+        highest = differing[-1]
         crosses = bool(six[lowest] > smallest[lowest] and smallest[highest] > six[highest])
     result = (
         f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at"
@@ -484,7 +487,8 @@ def rise(values: Sequence[float], intervals: Sequence[Interval]) -> bool:
     intervals : 95 %, low and high, or None for an open end. A rise that depends on an open end is
         unknown, and so is one that includes a value with both ends open; neither counts as a rise.
     """
-    low, high = intervals[-1][0], intervals[0][1]
+    low = intervals[-1][0]
+    high = intervals[0][1]
     if low is None or high is None or UNKNOWN in intervals:
         return False
     falls = any(after < before for before, after in pairwise(values))

@@ -115,11 +115,10 @@ def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     if not files:
         raise invalid("results", f"'{folder}' without {', '.join(RESULTS)}", allowed)
     if (version := version_of_files(folder)) != VERSION:
-        got = (
-            f"'{folder}', of pixsim {version}"
-            if version
-            else f"'{folder}', of an unknown version of pixsim"
-        )
+        if version:
+            got = f"'{folder}', of pixsim {version}"
+        else:
+            got = f"'{folder}', of an unknown version of pixsim"
         raise invalid("results", got, f"results of pixsim {VERSION}", _MAKE_AGAIN)
     if not (folder / ROWS_FILE).is_file():
         hint = (
@@ -275,7 +274,8 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
     Raises PixsimError for folders of another kind or of another version of pixsim, and says what of
     light and streams differs.
     """
-    first, other = _read_folder(a), _read_folder(b)
+    first = _read_folder(a)
+    other = _read_folder(b)
     if first.kind != other.kind:
         raise invalid("results", f"a {first.kind} and a {other.kind}", "two results of one kind")
     if differing := list(_what_differs(first, other)):

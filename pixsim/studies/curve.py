@@ -327,7 +327,8 @@ class Curve(Result):
         best = int(np.argmin(mean))
         widest = None
         for first, last in product(range(best + 1), range(best, mean.size)):
-            first_um, last_um = float(self.pitch_um[first]), float(self.pitch_um[last])
+            first_um = float(self.pitch_um[first])
+            last_um = float(self.pitch_um[last])
             ratio = last_um / first_um
             if ratio < WIDE_RATIO or (widest is not None and ratio <= widest[1] / widest[0]):
                 continue
@@ -767,11 +768,9 @@ class Rounds:
 
 def on_first_display(table: Table) -> Table:
     """Return the evaluations of a case on its stated display, which has all repeats."""
-    return (
-        table.take(table.columns[DOTS] == table.columns[DOTS][0])
-        if DOTS in table.columns
-        else table
-    )
+    if DOTS in table.columns:
+        return table.take(table.columns[DOTS] == table.columns[DOTS][0])
+    return table
 
 
 def sizes_of(table: Table) -> Sizes:

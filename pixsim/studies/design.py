@@ -80,7 +80,8 @@ def technology_of(study: Study, name: str) -> Technology:
     Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for process
     numbers of a data sheet.
     """
-    sensor, values = study.sensors.get(name), study.process.get(name)
+    sensor = study.sensors.get(name)
+    values = study.process.get(name)
     technology = load_technology(sensor.technology if sensor else name)
     if not values:
         return technology
@@ -130,7 +131,9 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
 _CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
 # Time of a frame, of each pixel and of each dot, on one core of an ordinary machine.
-FRAME_S, PIXEL_S, DOT_S = 6e-4, 2e-7, 1.6e-7
+FRAME_S = 6e-4
+PIXEL_S = 2e-7
+DOT_S = 1.6e-7
 _DOT_BYTES = 150.0
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
@@ -172,10 +175,8 @@ def study_pitches_um(study: Study, technology: str) -> Array:
             technology_of(study, technology), study.options_of(technology).fill_factor_law
         )
         if process.name == NO_TECHNOLOGY:
-            got, expected = (
-                f"no value, with {technology} beside other technologies",
-                "a smallest pixel size, or pitch.values_um",
-            )
+            got = f"no value, with {technology} beside other technologies"
+            expected = "a smallest pixel size, or pitch.values_um"
             raise invalid(
                 "pitch.min_um",
                 got,

@@ -32,9 +32,13 @@ if TYPE_CHECKING:
 
 # On one core of an ordinary machine: the start, the kernel of a light; a sample of a film, a cell,
 # a cell behind a real lens; a page of several sizes, and the figures of a curve.
-START_S, KERNEL_S = 1.5, 2.0
-SAMPLE_S, CELL_S, LENS_CELL_S = 2e-7, 5e-7, 5e-6
-PAGE_S, CURVE_S = 3.0, 0.6
+START_S = 1.5
+KERNEL_S = 2.0
+SAMPLE_S = 2e-7
+CELL_S = 5e-7
+LENS_CELL_S = 5e-6
+PAGE_S = 3.0
+CURVE_S = 0.6
 _MOST_CURVES = 64  # of which a page has figures of their own
 _FILM_BYTES_PER_CELL = 120.0
 
@@ -140,7 +144,8 @@ def _run_cost(
     plan : of its render, or None for a picture that is read
     shape : (H, W) of the film or the picture
     """
-    render_s, light_bytes = 0.0, 0.0
+    render_s = 0.0
+    light_bytes = 0.0
     if plan is not None:
         render_s = render_seconds(plan, shape, cores)
         light_bytes = render_bytes(plan, shape)
@@ -169,7 +174,8 @@ def study_cost(
     largest = max(frame.memory_bytes for case_frames in frames for frame in case_frames)
     jobs = jobs or jobs_in_memory(largest)
 
-    evaluations, frames_s = 0, 0.0
+    evaluations = 0
+    frames_s = 0.0
     for (study, _), case_frames in zip(cases, frames, strict=True):
         one_sensor_s = sum(frame.seconds for frame in case_frames)
         type_evaluations = types * MAX_TYPE_EVALUATIONS * len(study.technologies)
@@ -197,13 +203,16 @@ def study_cost(
 
 def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
-    settings, camera = prepared.settings, prepared.camera
-    frames, repeats = prepared.frames, prepared.repeats
+    settings = prepared.settings
+    camera = prepared.camera
+    frames = prepared.frames
+    repeats = prepared.repeats
     pitch_um = settings.pixel.pitch_um
     picture = prepared.cases[0].picture
     plan: Plan | None = None
     if picture is None:
-        plan, shape = prepared.request.plan, prepared.request.shape
+        plan = prepared.request.plan
+        shape = prepared.request.shape
         planned = _planned_light(prepared.request)
     else:
         shape = picture.shape[0], picture.shape[1]
@@ -240,7 +249,8 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     jobs : processes. None means as many as it would take
     types : number of sensor types of --uncertainty or --sobol
     """
-    study, request = job.settings, job.request
+    study = job.settings
+    request = job.request
     lights = len({light_hash(case.settings) for case in job.combinations})
     cases = [(case.settings, case.camera) for case in job.combinations]
     # Each metric has pixel sizes of its own.

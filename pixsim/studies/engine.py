@@ -48,11 +48,13 @@ CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
 # For a client that has lost its scheduler, which gives up after `CONNECT_SECONDS`; between two
 # looks at it.
-RECONNECT_SECONDS, LOOK_SECONDS = 60.0, 0.1
+RECONNECT_SECONDS = 60.0
+LOOK_SECONDS = 0.1
 BATCH_SECONDS, MAX_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
 _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 # For workers to come back after all are lost; between two looks.
-IDLE_SECONDS, WATCH_SECONDS = 300.0, 5.0
+IDLE_SECONDS = 300.0
+WATCH_SECONDS = 5.0
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
@@ -332,7 +334,8 @@ def _given_up_without_workers(client: Client) -> Iterator[None]:
     """
     from distributed import Future as Promise
 
-    before, ended = set(client.futures), threading.Event()
+    before = set(client.futures)
+    ended = threading.Event()
 
     def watch() -> None:
         seen = time.monotonic()
@@ -369,7 +372,8 @@ def _replies(
     """
     from distributed import as_completed
 
-    left, size = iter(list(calls.items())), 1
+    left = iter(list(calls.items()))
+    size = 1
     unsent = len(calls)
     sent = as_completed(loop=client.loop)
 
@@ -524,7 +528,8 @@ class SharedFiles:
     def _made(self, make: Callable[[], Any]) -> Path:
         from joblib import dump
 
-        path, content = self._folder / f"{id(make)}.joblib", make()
+        path = self._folder / f"{id(make)}.joblib"
+        content = make()
         with disk_faults_named(
             self._folder, self._folder, "TMPDIR sets another folder for temporary files."
         ):

@@ -232,7 +232,9 @@ def rendered_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[
     caches: dict[str, SceneCache] = {}
     rendered: list[RenderedCase] = []
     for case, light in zip(cases, lights, strict=True):
-        imaging, image, background = case.imaging, light.image, light.background
+        imaging = case.imaging
+        image = light.image
+        background = light.background
         assert imaging is not None
 
         # The header states everything that a render depends on, so that cases of other pixels may
@@ -362,7 +364,8 @@ def task_of(rendered: RenderedCase, imaging: Imaging, block: int, keys: Mapping[
 
     imaging : of the case, at the pixel size
     """
-    pitch_um, case = imaging.pixel.pitch_um, rendered.case
+    pitch_um = imaging.pixel.pitch_um
+    case = rendered.case
     return Task(
         name=case.sensor,
         imaging=imaging,
@@ -407,7 +410,8 @@ def _cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
         pixel=physics.pixel.model_copy(update={"registration": None})
     )
     if getattr(_recent, "pixels", None) != pixels:
-        _recent.pixels, _recent.sensors = pixels, {}
+        _recent.pixels = pixels
+        _recent.sensors = {}
     sensors: dict[object, Sensor] = _recent.sensors
     sensor_key = key, physics.registration, chain.signal_e_per_s.shape
     if sensor_key in sensors:
@@ -444,7 +448,8 @@ def evaluate_task(
     first_frame : gets the first frame of the first repeat, with its pictures
     """
     evaluated: list[EvaluatedPoint] = []
-    repeats, request = task.repeats, task.imaging.metrics
+    repeats = task.repeats
+    request = task.imaging.metrics
     pitch_um = task.imaging.pixel.pitch_um
     names = *PIXEL_STATISTICS, *columns_of_metrics(request.chosen)
     frames = frames_of(task, light, repeats, light_optional=not request.needs_light)
@@ -497,8 +502,12 @@ def _cached_frames(frames_key: str) -> cache.Arrays:
 
 
 # Arrays of a frame in the cache.
-_DN, _SATURATED, _MEAN, _TIME = "dn", "saturated_fraction", "mean_electrons_e", "integration_s"
-_CORRECTED, _SATURATED_PIXELS = "corrected_e", "saturated"
+_DN = "dn"
+_SATURATED = "saturated_fraction"
+_MEAN = "mean_electrons_e"
+_TIME = "integration_s"
+_CORRECTED = "corrected_e"
+_SATURATED_PIXELS = "saturated"
 
 
 def _array_name(repeat: int, part: str) -> str:
@@ -974,7 +983,10 @@ class _Evaluation:
     def table(self, numbers: Sequence[int]) -> Table:
         """Return the points of some cases, with their labels; all points must be evaluated."""
         keys: list[str] = []
-        cases, pitches_um, repeats, displays = [], [], [], []
+        cases = []
+        pitches_um = []
+        repeats = []
+        displays = []
         for index, number in enumerate(numbers):
             for pitch_um, count in self.sizes[number].items():
                 keys_of_size = self.cases[number].keys(pitch_um, count)

@@ -160,7 +160,8 @@ def _scene_value(folder: Path, value: object) -> object:
     return value if not value or (folder / value).exists() else whole_path(value)
 
 
-QUICK_REPEATS, QUICK_COUNT = 4, 8
+QUICK_REPEATS = 4
+QUICK_COUNT = 8
 
 
 def study_files(name: str | os.PathLike[str], quick: bool = False) -> list[Path]:
@@ -245,7 +246,8 @@ def _study_table(path: Path) -> dict[str, Any]:
         )
 
     _resolve_files(table, path)
-    pixel, sensors = table.get("pixel"), table.get("sensors")
+    pixel = table.get("pixel")
+    sensors = table.get("sensors")
     if isinstance(pixel, dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
     if isinstance(sensors, dict):
@@ -293,7 +295,8 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     """Replace file names in a study's table, its axes and conditions by their paths, for files that
     lie next to the study's file.
     """
-    technologies, processes = table.get("technologies"), table.get("process")
+    technologies = table.get("technologies")
+    processes = table.get("process")
     if isinstance(technologies, list):
         table["technologies"] = [resolve_file(path, name) for name in technologies]
     if isinstance(processes, dict):
@@ -320,7 +323,8 @@ def _resolved_values(axis: dict[str, Any], path: Path) -> list[Any]:
     """Return the values of an axis, after replacing the file names among them, if its setting is a
     file.
     """
-    values, dotted = axis.get("values"), axis.get("set")
+    values = axis.get("values")
+    dotted = axis.get("set")
     if not isinstance(values, list):
         return []
     if isinstance(dotted, str) and tuple(dotted.split(".")) in FILES:

@@ -53,7 +53,9 @@ from pixsim.viewer.screen import white_header
 
 MIN_CELLS = 4  # across a film
 # Across a part; its cells are those of the coarsest film.
-MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8
+MIN_PIXELS = 16
+MIN_PART_CELLS = 16
+MIN_DOTS = 8
 FINER_FILMS = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
 # Cells of the film itself that are measured on finer films: with theirs about half of `MEASURED`.
 _MEASURED_FINER_CELLS = MEASURED // 16
@@ -62,9 +64,12 @@ _MAX_FINER_CELLS = 4 * _MEASURED_FINER_CELLS
 _SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
 _STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from the picture's mean
 # Orders of convergence of cell means: at edges, and where the picture is smooth.
-_MIN_ORDER, _MAX_ORDER = 1.0, 2.0
+_MIN_ORDER = 1.0
+_MAX_ORDER = 2.0
 # Factors of the changes on the two coarser films, and of the larger change on the finer films.
-_NEAR_FACTOR, _FAR_FACTOR, _FINER_FACTOR = 0.2, 0.06, 2.5
+_NEAR_FACTOR = 0.2
+_FAR_FACTOR = 0.06
+_FINER_FACTOR = 2.5
 # Factor of the nearer change over the square of the samples across a dot, where it is the larger:
 # with less than 2.7 samples.
 _ALIASED = 1.5
@@ -81,7 +86,9 @@ def samples_per_dot(width: int, imaging: Imaging, chart: Chart | None) -> float:
 
     width : samples across the film
     """
-    camera, display, pitch_um = imaging.camera, imaging.display, imaging.pixel.pitch_um
+    camera = imaging.camera
+    display = imaging.display
+    pitch_um = imaging.pixel.pitch_um
     chart_details = chart.details if chart else None
     details, _ = details_across(
         camera, imaging.physics.aperture_side_um, display, pitch_um, chart_details
@@ -274,7 +281,8 @@ def _with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[
     """
     samples = np.moveaxis(planes, axis, -1)
     padded = np.pad(samples, [(0, 0)] * (samples.ndim - 1) + [(1, 1)], mode="edge")
-    before, after = padded[..., :-2], padded[..., 2:]
+    before = padded[..., :-2]
+    after = padded[..., 2:]
     step = after - before
     is_between = (samples - before) * (after - samples) >= 0
     share_before = np.divide(after - samples, step, out=np.zeros_like(samples), where=step != 0)
@@ -986,7 +994,8 @@ def standard_noise_of(chain: ImagingChain, imaging: Imaging, number: int) -> Arr
     columns).
     """
     key = "accuracy", 0, imaging.physics.pitch_um, number
-    sensor_rng, correction_rng = stream(*key, "sensor"), stream(*key, "correction")
+    sensor_rng = stream(*key, "sensor")
+    correction_rng = stream(*key, "correction")
     frame = chain.capture_with(sensor_rng, sensor_rng, correction_rng)
     mean = noiseless_frame(chain, frame.integration_s)
     noise_e = frame.estimate_e - mean.estimate_e

@@ -60,7 +60,8 @@ _WORTH_WIDENING = 1.2
 _FIRST_COARSENING = 4
 _MIN_SAMPLES_ACROSS = 64
 # The render's share of the work on a film; the rest measures its error.
-_RENDER_SHARE, _CHART_RENDER_SHARE = 0.9, 0.3
+_RENDER_SHARE = 0.9
+_CHART_RENDER_SHARE = 0.3
 
 
 Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
@@ -185,7 +186,8 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
         part_imaging = imaging.changed(display=display)
 
         # Both parts are exposed as long as the first of them.
-        pictures, exposure = [], None
+        pictures = []
+        exposure = None
         for light in (image, other):
             planes = light.planes[:, region[0], region[1]]
             part = light.with_planes(planes, header=light.header | white)
@@ -211,7 +213,9 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
     Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels
     can be told apart.
     """
-    scene, plan, settings = request.scene, request.plan, request.settings
+    scene = request.scene
+    plan = request.plan
+    settings = request.settings
     for note in plan.warnings:
         warn(note)
     render_share = _CHART_RENDER_SHARE if plan.samples.exact else _RENDER_SHARE
@@ -418,7 +422,9 @@ def light_request(case: Case[Any]) -> LightRequest:
     film for the smallest photodiode. Neither depends on the pitches that are added, so a row does
     not depend on the others.
     """
-    scene, camera, study = case.scene, case.camera, case.settings
+    scene = case.scene
+    camera = case.camera
+    study = case.settings
     if isinstance(study, Run):
         full = case.imaging is not None and case.imaging.full
         run_plan = partial(plan_of, camera=camera, settings=study, full=full)
@@ -450,7 +456,8 @@ def render_for(
 
     film : measured with more light. None measures the film of this light
     """
-    study, request = case.settings, light_request(case)
+    study = case.settings
+    request = light_request(case)
     try:
         if film is None:
             light, _ = rendered_light(request, progress)
@@ -467,7 +474,8 @@ def render_for(
 
 def _given_light(case: Case[Study], picture: SpectralImage) -> Light:
     """Return the light of a case whose light is given, with the white that it is shown with."""
-    study, image = case.settings, copy(picture)
+    study = case.settings
+    image = copy(picture)
     image.header = image.header | white_header(_seen_by_all(study, image, case.camera))
     return Light(image, case.camera, background=case.background)
 
@@ -593,7 +601,8 @@ def _all_but_luminance(case: Case[Study]) -> str:
     The display is as much brighter as the scene. In a time that is set, bright light saturates
     pixels, which hides detail.
     """
-    study, luminance = case.settings, _luminance(case.settings)
+    study = case.settings
+    luminance = _luminance(case.settings)
     if not luminance or study.exposure.integration_s is not None or has_target(study.metrics):
         return ""
     table = study.model_dump(mode="json", include=set(LIGHT_SETTINGS))

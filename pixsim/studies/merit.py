@@ -179,7 +179,8 @@ def mtf50_cy_per_mm(
         frequency = np.linspace(low, high, 301)
         values = mtf(result, physics, frequency, path_um)
         below = int(np.argmax(values < 0.5))
-        low, high = frequency[below - 1], frequency[below]
+        low = frequency[below - 1]
+        high = frequency[below]
     return float(np.interp(-0.5, -values[below - 1 : below + 1], [low, high]))
 
 

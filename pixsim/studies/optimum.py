@@ -64,7 +64,8 @@ LOOK_CONFIDENCE = 0.987
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)
 # Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the
 # tails admit a parabola.
-USUAL_STIFFNESS, STIFFNESS_SPREAD = 3.0, 0.7
+USUAL_STIFFNESS = 3.0
+STIFFNESS_SPREAD = 0.7
 # Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels
 # (in release 1.0.0) 0.2 to 0.5.
 RESIDUALS = (0.0, 0.1, 0.25, 0.5)
@@ -546,7 +547,8 @@ def _sharp_minimum(drawn: _DrawnFit) -> _SharpMinimum | None:
     """
     if not drawn.has_minimum:
         return None
-    data, u = drawn.data, drawn.data.design.u
+    data = drawn.data
+    u = drawn.data.design.u
 
     # Of ΔE itself: the logarithm of a convex curve need not be convex.
     low, high = convex_range(u, data.mean, data.ci95)
@@ -583,7 +585,8 @@ def _optimum(
 ) -> tuple[Optimum, tuple[float | None, float | None]]:
     """Return the optimum of a fit, and its interval of `CONFIDENCE` at this look alone."""
     sharp = _sharp_minimum(drawn)
-    first_um, last_um = drawn.pitch_um[0], drawn.pitch_um[-1]
+    first_um = drawn.pitch_um[0]
+    last_um = drawn.pitch_um[-1]
 
     # Share of the drawn curves that are least at the smallest size, and at the largest.
     share_at_first = float(np.mean(drawn.curves[:, 0] <= drawn.least_values))
@@ -877,7 +880,8 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float 
         """Where the line through the next two points has come down to the first one; `step` leads
         away from the lowest.
         """
-        near, far = first + step, first + 2 * step
+        near = first + step
+        far = first + 2 * step
         if not 0 <= near < x.size:
             return None
         if not 0 <= far < x.size or y[far] <= y[near]:  # one point, or no convex curve
@@ -898,7 +902,8 @@ def close_to_least(
     """
     minimum = float(curve.min())
     near = np.flatnonzero(curve <= minimum + share * abs(minimum))
-    low, high = int(near[0]), int(near[-1])
+    low = int(near[0])
+    high = int(near[-1])
     low_um = None if low == 0 else float(pitch_um[low])
     high_um = None if high == pitch_um.size - 1 else float(pitch_um[high])
     return low_um, high_um

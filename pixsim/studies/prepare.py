@@ -344,7 +344,8 @@ class SensorTypes:
 
         unknowns: list[Unknown] = []
         for case, sheet_spreads in zip(sensors, spreads, strict=True):
-            name, pixel = case.sensor, case.settings.pixel
+            name = case.sensor
+            pixel = case.settings.pixel
             unknowns += unknowns_of_sheet(pixel, sheet_spreads, name)
             if pixel.technology != NO_TECHNOLOGY:
                 technology = load_technology(pixel.technology)
@@ -376,7 +377,8 @@ class SensorTypes:
 
         process = load_technology(pixel.technology)
         for draw in self.sample.draws:
-            drawn_pixel, technology = pixel, imaging.technology
+            drawn_pixel = pixel
+            technology = imaging.technology
             if sheet_unknowns:
                 numbers = {unknown.quantity: draw[unknown.name] for unknown in sheet_unknowns}
                 drawn_pixel = Pixel(**pixel.model_dump() | numbers)
@@ -438,7 +440,8 @@ def with_view(settings: ChosenSettings, view: Mapping[str, Any]) -> ChosenSettin
     """Return settings with the display and the chart of `choose_view`, where they do not state
     them.
     """
-    display, scene = settings.display, settings.scene
+    display = settings.display
+    scene = settings.scene
     if "dots" in view and "dots" not in display.model_fields_set:
         display = display.model_copy(update={"dots": view["dots"]})
     if MAX_LP_PER_MM in view:
@@ -943,7 +946,8 @@ def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]
 
     stated : the display, as the user states it
     """
-    study, imaging = case.settings, case.imaging
+    study = case.settings
+    imaging = case.imaging
     if study.own_um is None or imaging is None or imaging.border_um is None:
         return ()
     return further_displays(
@@ -953,7 +957,8 @@ def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]
 
 def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
     """Yield a case for each technology and data sheet of a study without axes."""
-    study, camera = combination.settings, combination.camera
+    study = combination.settings
+    camera = combination.camera
     caches_frames = frames_fit_in_cache(study, camera)
     for name in study.technologies:
         pitches_um = study_pitches_um(study, name).tolist()
@@ -1133,7 +1138,8 @@ def sensor_case(
     Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many
     pixels, or too few dots.
     """
-    run, die_um = case.settings, case.camera.die_um
+    run = case.settings
+    die_um = case.camera.die_um
     pitch_um = run.pixel.pitch_um
     background = check_metrics(run, [run.pixel], case.source, case.background, units)
     check_pixel_count(pixels_on(die_um, pitch_um), pitch_um)

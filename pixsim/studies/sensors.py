@@ -149,7 +149,8 @@ class SensorGroup:
     @property
     def scored_dots(self) -> tuple[int, int]:
         """Rows and columns of the display's dots that are shown and scored."""
-        camera, pitch_um = self.first.camera, self.first.settings.pixel.pitch_um
+        camera = self.first.camera
+        pitch_um = self.first.settings.pixel.pitch_um
         rows, columns = dot_edges_um(camera.die_um, pitch_um, self.display, self.border_um(camera))
         return rows.size - 1, columns.size - 1
 

@@ -758,7 +758,8 @@ class Study(Setting):
 
         None for the lower end of a technology, which follows from `min_fill_factor`.
         """
-        low, high = self.pitch.min_um, self.pitch.max_um
+        low = self.pitch.min_um
+        high = self.pitch.max_um
         if self.own_um is None:
             return low, high
         largest_um = max(self.own_pitches_um) * _PITCH_RATIO
@@ -1037,7 +1038,8 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
     """Return a study's table without the fields of [pitch] that an overriding range makes void,
     such as a list of pitches.
     """
-    pitch, overriding_pitch = table.get("pitch"), overriding.get("pitch", {})
+    pitch = table.get("pitch")
+    overriding_pitch = overriding.get("pitch", {})
     if not (isinstance(pitch, dict) and isinstance(overriding_pitch, dict)):
         return dict(table)
     void = {

@@ -108,7 +108,8 @@ class Table(Sequence[dict[str, Any]], Result):
         return next(iter(rows))
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        reasons, names = self.reasons, self.printed_columns
+        reasons = self.reasons
+        names = self.printed_columns
         values = (self.columns[name].tolist() for name in names)
         # The sensor, its size and the repeat come first, as in results.csv.
         heads: list[dict[str, Any]] = [
@@ -283,11 +284,10 @@ class Store:
             and not self.damaged
             and (version := version_of_files(path.parent)) != VERSION
         ):
-            which = (
-                f"of pixsim {version}"
-                if version
-                else "of other settings, or of another version of pixsim"
-            )
+            if version:
+                which = f"of pixsim {version}"
+            else:
+                which = "of other settings, or of another version of pixsim"
             then = (
                 ", and they are computed again; only the settings and the version that wrote them"
                 " continue them"
@@ -388,7 +388,8 @@ class Store:
             opened(path, "results", "the rows of a study", MAX_BYTES) as content,
         ):
             digest = digest_of(path)
-            copy, number = path.with_name(f"{path.name}.old"), 1
+            copy = path.with_name(f"{path.name}.old")
+            number = 1
             while os.path.lexists(copy):
                 if stat.S_ISREG(copy.lstat().st_mode) and digest_of(copy) == digest:
                     return copy.name
@@ -454,10 +455,8 @@ def check_replaceable_results(path: Path) -> None:
     """
     if not os.path.lexists(path):
         return
-    allowed, hint = (
-        "the rows of a study, or no such file",
-        "Choose another folder with --out, or move the file away.",
-    )
+    allowed = "the rows of a study, or no such file"
+    hint = "Choose another folder with --out, or move the file away."
     if not stat.S_ISREG(mode := path.lstat().st_mode):
         raise invalid("results", f"'{path}', {kind_of(mode)}", allowed, hint)
     with opened(path, "results", allowed) as file:

@@ -174,7 +174,8 @@ _ORDERED = (
     ("voltage_swing_v", "reset_voltage_v"),
     ("fill_factor_inset_features", "fill_factor_zero_pitch_features"),
 )
-MIN_DRAWS, MAX_DRAWS = 8, 1 << 16
+MIN_DRAWS = 8
+MAX_DRAWS = 1 << 16
 MAX_TYPE_EVALUATIONS = 24  # of a sensor type, for each technology and case
 # Half a cell of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal
 # distribution.

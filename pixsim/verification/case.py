@@ -99,12 +99,11 @@ def _elements(
     """Return a quantity for each element of the results, (n,)."""
     elements = []
     for arguments, result in zip(inputs, results, strict=True):
-        value = (
-            quantity(*arguments)
-            if callable(quantity)
-            else arguments[-1]
-            if quantity is ANSWERS
-            else quantity
-        )
+        if callable(quantity):
+            value = quantity(*arguments)
+        elif quantity is ANSWERS:
+            value = arguments[-1]
+        else:
+            value = quantity
         elements.append(np.broadcast_to(value, result.shape).ravel())
     return np.concatenate(elements)

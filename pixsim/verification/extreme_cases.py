@@ -50,7 +50,8 @@ _EPS = 2.2e-16  # of float64
 ROUNDING = 1e-12  # of a few hundred operations in float64
 _FLOAT32_ROUNDING = 2e-7  # the irradiance is stored in float32
 # SI 2019, exact; independent of pixsim's constants
-BOLTZMANN_J_PER_K, ELECTRON_C = (1.380649e-23, 1.602176634e-19)
+BOLTZMANN_J_PER_K = 1.380649e-23
+ELECTRON_C = 1.602176634e-19
 
 # --- Lenses: f/0.5 to f/1e150, fields up to 80°, cut-off frequencies far outside the range of the
 # grid ---
@@ -188,10 +189,8 @@ def line(centre_nm: float) -> Spectrum:
 
 def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
     """A uniform field of 8×8 samples with the lamp's spectrum, W m⁻² nm⁻¹."""
-    factors, within = (
-        (lamp.cell_means(bands.edges_nm), np.ones((1, 8, 8))),
-        (bands.nodes_nm, bands.shares),
-    )
+    factors = (lamp.cell_means(bands.edges_nm), np.ones((1, 8, 8)))
+    within = (bands.nodes_nm, bands.shares)
     return SpectralImage(
         bands.wavelength_nm, bands.width_nm, 20.0, factors=factors, within=within, header={}
     )
@@ -232,11 +231,9 @@ def spectra() -> list[Row]:
 
     def power_of_pulse(lamp: Spectrum, lamp_bands: Bands) -> float:
         pulses = fit(lamp, lamp_bands, SURFACES, detectors, _BANDS_TOLERANCE)
-        return (
-            math.nan
-            if pulses is None
-            else float((pulses.spectra.sum(axis=0) * lamp_bands.width_nm).sum())
-        )
+        if pulses is None:
+            return math.nan
+        return float((pulses.spectra.sum(axis=0) * lamp_bands.width_nm).sum())
 
     lights = {  # with the electrons of a pixel per second
         "every second band dark": (physics, np.tile([0.02, 0.0], 24)[:47], 187258201.36563483),
@@ -521,7 +518,8 @@ _NOISY_PIXELS: tuple[dict[str, Any], ...] = (
 )
 SATURATED_SHARE = 0.6152809902517223
 # 1000 + (2²⁴ - 1001)/2; 0.5e12 · ((2²⁴ - 1001)/1e12)² + 1/12
-WIDE_DN, WIDE_DN2 = (8389107.5, 140.804028196446)
+WIDE_DN = 8389107.5
+WIDE_DN2 = 140.804028196446
 
 
 def saturated_fraction(options: dict[str, Any], wells: float) -> float:
@@ -869,7 +867,8 @@ def _wave_means(count: int, pitch_um: float, side_um: float) -> Array:
 
 
 def integration() -> list[Row]:
-    picture, long = _random_picture(SIDE, SIDE), _random_picture(LONG, 3)
+    picture = _random_picture(SIDE, SIDE)
+    long = _random_picture(LONG, 3)
     return [
         (
             (
@@ -1215,7 +1214,9 @@ def _table_rows(process: str, temperature_k: float, time_s: float, conversion: s
     """The table of a photodiode's response, beside the quadrature that it stands for."""
     name = f"{process}, {temperature_k:g} K, {time_s:g} s, {conversion}"
     physics = pixel_at(process, temperature_k, well_limit="diode", conversion=conversion)
-    diode, well_e, is_junction = diode_of(physics), physics.full_well_e, conversion == "junction"
+    diode = diode_of(physics)
+    well_e = physics.full_well_e
+    is_junction = conversion == "junction"
     below_e = np.linspace(0, 1 - 1e-9, 65) * diodes.linear_limit_e(diode, well_e, time_s)
 
     def level_e(generated_e: Array) -> Array:

@@ -40,8 +40,10 @@ from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import UserSettings, field_names, warn_of_settings_without_effect
 
 # Samples across the film, relative to that of a run
-EFFORTS, QUICK_EFFORTS = ((0.25, 0.5, 1.0), (0.5, 1.0))
-REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
+EFFORTS = (0.25, 0.5, 1.0)
+QUICK_EFFORTS = (0.5, 1.0)
+REFERENCE = 2.0
+REFERENCE_OF_CHART = 4.0
 _REFERENCE_ERROR_SHARE = (
     1 / 3
 )  # of the smallest error that is shown: largest error of the reference
@@ -256,7 +258,8 @@ def climb(
 
     across : samples across the film of the default settings, whose effort is 1
     """
-    camera, imaging = request.camera, request.measured[0]
+    camera = request.camera
+    imaging = request.measured[0]
     ratio = camera.height_mm / camera.die_mm
     max_across = largest_film(ratio, request.plan.light.planes, math.inf)
 

@@ -251,7 +251,8 @@ def make_chain(
     Raises PixsimError if the picture moves farther than the part that is scored leaves room for.
     """
     scene = light if isinstance(light, PreparedScene) else prepare_scene(imaging, light)
-    physics, exposure = imaging.physics, imaging.exposure
+    physics = imaging.physics
+    exposure = imaging.exposure
     signal, collections = array_signal(scene.lights, scene.sample_pitch_um, physics, scene.array_um)
     if scene.metering_light is not None and exposure.integration_s is None:
         metered, _ = array_signal(
@@ -287,7 +288,8 @@ def _standing(
     collections: Sequence[Collection],
 ) -> ImagingChain:
     """Return the chain of light that stands still."""
-    physics, rendition = imaging.physics, scene.rendition
+    physics = imaging.physics
+    rendition = scene.rendition
     _check_whole_cell(physics, signal.shape)
 
     collection: Collection | ColourCollection | None = collections[0] if collections else None
@@ -319,7 +321,8 @@ def _standing(
 
 def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     """Return the chain of light that moves, from the chain of the same light that stands still."""
-    imaging, scene = still.imaging, still.scene
+    imaging = still.imaging
+    scene = still.scene
     assert scene is not None
     moving, exposure = metered_motion(
         still.signal_e_per_s, still.readout, still.exposure, imaging.um_per_s
@@ -350,7 +353,8 @@ def _check_room(chain: ImagingChain, moving: Moving) -> None:
     """Raise PixsimError if light from beyond the picture moves into the part of it that is
     scored.
     """
-    screen, physics = chain.screen, chain.readout.physics
+    screen = chain.screen
+    physics = chain.readout.physics
     assert chain.scene is not None
     is_one_to_one = screen.display.raster == "one_to_one"
     border_um = 0.0 if is_one_to_one else physics.border_um

@@ -59,7 +59,8 @@ _MAX_NOISE_GAIN = (
 )
 _SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
 _SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
-CIE_LINEAR_BELOW, CIE_SLOPE = 216 / 24389, 841 / 108
+CIE_LINEAR_BELOW = 216 / 24389
+CIE_SLOPE = 841 / 108
 # L*, a* and b* from f(X/Xn), f(Y/Yn) and f(Z/Zn), without the constant -16 of L*.
 _LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
 
@@ -183,7 +184,9 @@ def fit_matrix(
     # patches and their noise: both may be large in one channel only.
     channels = responses.shape[1]
     target = xyz / white
-    data, data_target, tolerance = responses, target, RANK_TOLERANCE
+    data = responses
+    data_target = target
+    tolerance = RANK_TOLERANCE
     if covariance is not None:
         noise = _root(covariance.sum(axis=0))
         data = np.vstack([responses, noise])

@@ -139,7 +139,8 @@ def clips_dark(dark: dict[str, float]) -> bool:
     """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the
     noise.
     """
-    clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
+    clipped_e = dark["too_bright_e"]
+    spread_e = dark["spread_e"]
     return (
         clipped_e * dark["spread_dn"] > _HIDDEN_DN * spread_e
         and clipped_e > _TAIL_SIGMAS * spread_e
@@ -152,15 +153,16 @@ def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") ->
     pixel : its settings
     where : further words after the black level
     """
-    black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
+    black = pixel["black_level_dn"]
+    needed = dark["least_black_level_dn"]
     fits = needed <= MAX_BLACK_SHARE * (2 ** pixel["bits"] - 1)
     remedy = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
-    hint = (
-        f"set pixel.black_level_dn = {needed} to avoid this"
-        if fits
-        else f"avoiding this takes {remedy}"
-    )
-    excess_e, lightness = rounded(dark["too_bright_e"]), rounded(dark["lightness"])
+    if fits:
+        hint = f"set pixel.black_level_dn = {needed} to avoid this"
+    else:
+        hint = f"avoiding this takes {remedy}"
+    excess_e = rounded(dark["too_bright_e"])
+    lightness = rounded(dark["lightness"])
     share = 100 * dark["at_zero_fraction"]
     values = {
         "black_level_dn": black,

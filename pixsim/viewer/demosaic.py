@@ -128,7 +128,8 @@ def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bi
 def _check_cell_fits(mosaic: Array, cell: Sequence[str]) -> None:
     """Raise PixsimError for a mosaic (H, W) that is smaller than the unit cell."""
     height, width = mosaic.shape
-    rows, columns = len(cell), len(cell[0])
+    rows = len(cell)
+    columns = len(cell[0])
     if height < rows or width < columns:
         allowed = f"at least the unit cell of {rows} × {columns} pixels"
         raise invalid("mosaic", f"{height} × {width} pixels", allowed)
@@ -308,7 +309,8 @@ def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
     cell = unit_cell(pattern)
     _single_cell(cell)
     _check_cell_fits(mosaic, cell)
-    rows, columns = len(cell), len(cell[0])
+    rows = len(cell)
+    columns = len(cell[0])
     taps = _remosaic_taps(cell)
 
     # Beyond the edges there are no samples: their weights are missing from the sum of weights.
@@ -459,9 +461,11 @@ def _weights_behind(cell: tuple[str, ...], method: Method, remosaiced: bool) -> 
     taps = _remosaic_taps(cell)
     single = _weights(binned_cell(cell), method)
     single_rows, single_columns, count, ky, kx = single.shape
-    ry, rx = ky // 2, kx // 2
+    ry = ky // 2
+    rx = kx // 2
 
-    rows, columns = len(cell), len(cell[0])
+    rows = len(cell)
+    columns = len(cell[0])
     margin_px = max(rows, columns)
     size = 2 * (ry + margin_px) + 1, 2 * (rx + margin_px) + 1
     weights = np.zeros((rows, columns, count, *size))
@@ -531,7 +535,8 @@ def _interpolated(mosaic: Array, cell: tuple[str, ...]) -> Array:
     """Return the planes (C, H, W) of a mosaic of any pattern by normalised convolutions; a pixel
     keeps the sample of its own channel.
     """
-    rows, columns = len(cell), len(cell[0])
+    rows = len(cell)
+    columns = len(cell[0])
     letters = _letters_on(mosaic.shape, cell)
 
     def blurred(values: Array) -> Array:
@@ -657,7 +662,8 @@ def _covariance_per_variance(
         averaged = np.zeros_like(responses)
         for factor, taps in products:
             along = _filtered_products(dot_px, interpolation, max(ky, kx), taps)
-            along_y, along_x = _toeplitz(along[:ky]), _toeplitz(along[:kx])
+            along_y = _toeplitz(along[:ky])
+            along_x = _toeplitz(along[:kx])
             averaged += factor * (along_y @ responses @ along_x)
     place_covariance = np.einsum("yxcij,yxdij->yxcd", responses, averaged) / (rows * columns)
 

@@ -252,7 +252,8 @@ def ideal_rgb(
 
     if irradiance.factors and len(irradiance.factors[0]) == 1:
         # One picture, in three colours of one spectrum.
-        spectrum, plane = irradiance.factors[0][0], irradiance.factors[1][0]
+        spectrum = irradiance.factors[0][0]
+        plane = irradiance.factors[1][0]
         picture = on_display(plane.astype(float))
         xyz = [float((weight * spectrum).sum()) * picture for weight in weights]
     else:

@@ -31,7 +31,8 @@ _TONE_CURVES = ("none", "gamma", "srgb", "reinhard")
 _ALLOWED_TONE = (
     f"{', '.join(_TONE_CURVES)}, or a CSV file of light (1 for white) and value (0 to 1)"
 )
-MAX_TONE_LIGHT, MAX_TONE_ROWS = 1e6, 4096
+MAX_TONE_LIGHT = 1e6
+MAX_TONE_ROWS = 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
 _ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
 _ToneTable = tuple[_ToneRow, ...]
@@ -346,17 +347,17 @@ def check_develop(develop: Develop, pixel: PixelOptions) -> None:
     colour = pixel.colour
     if colour is None:
         return
-    channels, cell = channels_of(colour.cell), colour.cell
+    channels = channels_of(colour.cell)
+    cell = colour.cell
     if develop.remosaic and (single := () if colour.is_stacked else binned_cell(cell)):
         cell = single
     is_bayer = not colour.is_stacked and cell in BAYER.values()
     if develop.demosaic in ("bilinear", "malvar2004", "menon2007") and not is_bayer:
         words = "stacked channels" if colour.is_stacked else f"the unit cell {', '.join(cell)}"
-        hint = (
-            "For 'quad_rggb', set pixel.colour.binning = true or develop.remosaic = true."
-            if binned_cell(cell)
-            else ""
-        )
+        if binned_cell(cell):
+            hint = "For 'quad_rggb', set pixel.colour.binning = true or develop.remosaic = true."
+        else:
+            hint = ""
         allowed = (
             f"'{develop.demosaic}' for the unit cells {', '.join(BAYER)}; 'interpolate' for any"
             " other"

@@ -361,7 +361,8 @@ def _denoised_noise(noise: _ChannelNoise, raw: UndevelopedFrame) -> _ChannelNois
     channels = ("R",) if layout is None else layout.channels
 
     # An offset of a column is constant along y: its coefficients are those of row 0.
-    column_factors, row_factors = [], []
+    column_factors = []
+    row_factors = []
     for channel in channels:
         planes = [
             factors for factors, letter in zip(responses, letters, strict=True) if letter == channel
@@ -410,7 +411,8 @@ def _lag_products(count: int) -> Array:
 
 
 def _denoise(picture: Array, raw: UndevelopedFrame) -> Array:
-    frame, develop = raw.frame, raw.develop
+    frame = raw.frame
+    develop = raw.develop
     planes = raw.channel_planes(picture)
     if develop.denoise == "wiener_bound":
         for plane, factors in zip(planes, _wiener_responses(raw), strict=True):
@@ -430,7 +432,8 @@ def _denoise(picture: Array, raw: UndevelopedFrame) -> Array:
 
 
 def _white_balance(picture: Array, raw: UndevelopedFrame) -> Array:
-    layout, frame = raw.layout, raw.frame
+    layout = raw.layout
+    frame = raw.frame
     if layout is None:
         white_e = float(raw.white_e[0])
         return relative_to_white(picture, frame, white_e, raw.shading, single=raw.single)
@@ -519,7 +522,9 @@ def _matrix(dots: list[Array], raw: UndevelopedFrame) -> Array:
 
 # --- the registry
 
-RAW, PLANES, DISPLAYED = "raw planes", "developed planes", "shown picture"
+RAW = "raw planes"
+PLANES = "developed planes"
+DISPLAYED = "shown picture"
 STEPS: Mapping[str, Step] = {
     step.name: step
     for step in (
@@ -643,7 +648,8 @@ def noise_covariance(
     levels : (P, C) light of the patches in each channel, 1 for white
     dot_um : side of a dot on the sensor, or None where dots are pixels
     """
-    readout, layout = raw.readout, raw.layout
+    readout = raw.readout
+    layout = raw.layout
     electrons_e = np.maximum(levels, 0.0) * raw.white_e
     column_e = constant_e(readout, along="column")
     row_e = constant_e(readout, along="row")

@@ -62,7 +62,8 @@ class Development:
         """Electrons per second of the scene's white on axis, in the mean over the channels'
         pixels.
         """
-        layout, whites = self.readout.physics.layout, self.whites_e_per_s
+        layout = self.readout.physics.layout
+        whites = self.whites_e_per_s
         return whites[0] if layout is None else float((layout.shares * np.array(whites)).sum())
 
     @cached_property
@@ -131,7 +132,8 @@ class Development:
         assert self.rendition is not None
         assert layout is not None
         errors = self.rendition.errors(self.matrix)
-        dot_um, pitch_um = self.screen.dot_um, self.readout.physics.read_pitch_um
+        dot_um = self.screen.dot_um
+        pitch_um = self.readout.physics.read_pitch_um
         whites_e = (np.array(self.whites_e_per_s) * integration_s).tolist()
         return {
             "layout": str(layout),
@@ -150,7 +152,8 @@ class Development:
         """Standard deviation, in pixels, of the blur of sharpening. Raises PixsimError for one that
         is too wide.
         """
-        develop, pitch_um = self.imaging.develop, self.readout.physics.read_pitch_um
+        develop = self.imaging.develop
+        pitch_um = self.readout.physics.read_pitch_um
         if develop.sharpen_radius_cy_per_deg is None:
             return develop.sharpen_radius_px or 1.0
         dots = self.screen.display.samples_per_deg / (
@@ -182,7 +185,8 @@ class Development:
 
         matrix : from the channels to the display's primaries. None leaves it out
         """
-        develop, time_s = self.imaging.develop, frame.integration_s
+        develop = self.imaging.develop
+        time_s = frame.integration_s
         return UndevelopedFrame(
             frame,
             self.imaging,
@@ -224,7 +228,8 @@ class Development:
 
         undeveloped : their frame, with the matrix
         """
-        screen, frame = self.screen, undeveloped.frame
+        screen = self.screen
+        frame = undeveloped.frame
         means = [
             displays.on_dots(
                 plane,

@@ -193,7 +193,8 @@ def white_rate(
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
     spectrum, _ = white_light(irradiance)
-    camera, display = imaging.camera, imaging.display
+    camera = imaging.camera
+    display = imaging.display
     response = electrons_per_joule(channel or imaging.physics, irradiance)
     electrons = float((response * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
@@ -612,7 +613,8 @@ def shown_luminance(
         displayed = relative_luminance
     else:
         displayed = np.empty(relative_luminance.shape, table.dtype)
-    values, out = relative_luminance.reshape(-1), displayed.reshape(-1)
+    values = relative_luminance.reshape(-1)
+    out = displayed.reshape(-1)
     for part in strips(values.size, 1, STRIP_DOTS):
         luminance = np.clip(values[part], 0.0, 1.0)
         result = out[part]
@@ -647,7 +649,8 @@ def _code_borders(gamma: float, top: int) -> Array:
     while (reached - below > 1).any():
         middle = (below + reached) // 2
         has_code = np.rint(middle.view(float) ** (1 / gamma) * top) >= codes
-        reached, below = np.where(has_code, middle, reached), np.where(has_code, below, middle)
+        reached = np.where(has_code, middle, reached)
+        below = np.where(has_code, below, middle)
     return reached.view(float)
 
 

@@ -87,7 +87,8 @@ def expected_noise_power(development: Development, noise: RawNoise) -> Array:
 
 def _axis_power(development: Development, axis: int, count: int) -> _AxisPower:
     """Return the factor of an axis, 0 along y or 1 along x, of `count` pixels."""
-    screen, readout = development.screen, development.readout
+    screen = development.screen
+    readout = development.readout
     sigma_px = development.sharpen_px if development.imaging.develop.sharpens else None
     if screen.display.raster == "one_to_one":
         return _power_of_dots(count, 1.0, 0.0, None, 0, sigma_px)
@@ -135,7 +136,8 @@ def _power_of_dots(
 
     spectra = [np.fft.rfft(picture, axis=0) for picture in pictures]
     size = len(pictures), len(pictures), len(spectra[0])
-    independent, shared = np.zeros(size, complex), np.zeros(size, complex)
+    independent = np.zeros(size, complex)
+    shared = np.zeros(size, complex)
     for i, first in enumerate(spectra):
         for j, second in enumerate(spectra):
             independent[i, j] = (first * second.conj()).sum(axis=1)

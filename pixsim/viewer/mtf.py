@@ -43,7 +43,9 @@ def mtf_terms(
     dot_um : side of a dot on the sensor. None means a dot of the whole picture
     path_um : of light that moves in an exposure, along the axis
     """
-    camera, physics, display = imaging.camera, imaging.physics, imaging.display
+    camera = imaging.camera
+    physics = imaging.physics
+    display = imaging.display
     response = electrons_per_joule(physics, irradiance)
     weight = response * irradiance.mean_spectrum()
     if not weight.any():  # a black picture: assume equal light in all bands
@@ -100,7 +102,8 @@ def _stack_mtf_terms(
     blur = diffusion_of(physics)
     if blur is not None:
         weight = np.array(light.weight) / np.sum(light.weight)
-        lens, blurred = np.zeros(frequency.shape), np.zeros(frequency.shape)
+        lens = np.zeros(frequency.shape)
+        blurred = np.zeros(frequency.shape)
         for share, nm in zip(weight, light.wavelength_nm, strict=True):
             otf = diffraction_otf(frequency, nm, camera.effective_f_number)
             lens = lens + share * otf

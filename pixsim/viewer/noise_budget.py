@@ -56,12 +56,23 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scene_light import PreparedScene
 from pixsim.viewer.screen import display_image
 
-FLICKER, REDUCTION = "flicker of the light", "noise reduction"
-SHOT, DARK, ROUNDING = "shot noise of light", "shot noise of dark charge", "rounding by the ADC"
-MOSAIC, CROSSTALK, COLOUR_ERROR = "mosaic", "crosstalk and shading", "colour error"
-SHADING, MOTION, VEIL, LENS, NEIGHBOURS = "shading", "motion", "veiling glare", "lens", "neighbours"
-SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
-NOISE, BLUR = "noise", "blur"
+FLICKER = "flicker of the light"
+REDUCTION = "noise reduction"
+SHOT = "shot noise of light"
+DARK = "shot noise of dark charge"
+ROUNDING = "rounding by the ADC"
+MOSAIC = "mosaic"
+CROSSTALK = "crosstalk and shading"
+COLOUR_ERROR = "colour error"
+SHADING = "shading"
+MOTION = "motion"
+VEIL = "veiling glare"
+LENS = "lens"
+NEIGHBOURS = "neighbours"
+SAMPLING = "sampling and interpolation"
+APERTURE = "pixel aperture"
+NOISE = "noise"
+BLUR = "blur"
 _MORE_BITS = 8  # of an ADC that rounds 256 times finer
 # Each cause with the mean ΔE that is left without it and those before it.
 Steps = Iterator[tuple[str, float]]
@@ -267,7 +278,8 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     """Yield mosaic, crosstalk with shading, and colour error, with the mean ΔE that is left;
     nothing for grey sensors.
     """
-    imaging, scene = chain.imaging, chain.scene
+    imaging = chain.imaging
+    scene = chain.scene
     physics = imaging.physics
     assert scene is not None
     if scene.rendition is None:
@@ -287,7 +299,8 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
 
     # Without a stack, channels record no other light.
     if chain.collection is None:
-        recorded, matrix = unmixed_planes, unmixed.development.matrix
+        recorded = unmixed_planes
+        matrix = unmixed.development.matrix
     else:
         assert isinstance(chain.collection, ColourCollection)
         is_shaded = chain.development.shading is not None
@@ -327,7 +340,9 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     """Yield each cause of blur with the mean ΔE that is left, of a picture without noise and colour
     error.
     """
-    scene, camera, physics = chain.scene, chain.imaging.camera, chain.imaging.physics
+    scene = chain.scene
+    camera = chain.imaging.camera
+    physics = chain.imaging.physics
     assert scene is not None
     weights, white = observer_weights(chain.development.imaging, irradiance)
     matrix = None if scene.rendition is None else scene.rendition.to_display

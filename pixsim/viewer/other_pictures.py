@@ -55,7 +55,8 @@ def score_pictures(
     """
     display = display or Display()
     request = MetricRequest(metrics_named(metrics))
-    ideal, image = np.asarray(ideal), np.asarray(image)
+    ideal = np.asarray(ideal)
+    image = np.asarray(image)
     _check_picture("ideal", ideal)
     _check_picture("image", image)
     if ideal.shape != image.shape:
@@ -69,7 +70,8 @@ def score_pictures(
         raise invalid("ideal and image", got, "equal shapes", hint)
     request.check(MetricContext(is_colour=ideal.ndim == 3, has_background=False, has_frame=False))
 
-    ideal, image = ideal.astype(float), image.astype(float)
+    ideal = ideal.astype(float)
+    image = image.astype(float)
     beyond_white = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
     if beyond_white > CLIPPED_WARNING:
         warn(Note("white_clipped", share=percent(beyond_white), hint="white is 1"))

@@ -258,7 +258,8 @@ class _ClippedExposure:
 
         total = weight.sum(axis=(0, 2)) + full
         mean_dn = (integral(mean) + full * full_mean) / total
-        mean, full_mean = mean - mean_dn[:, None], full_mean - mean_dn
+        mean = mean - mean_dn[:, None]
+        full_mean = full_mean - mean_dn
         full_square = full_variance + full_mean**2
         variance_dn2 = (integral(variance + mean**2) + full * full_square) / total
         offset_slope = (integral(slope) + full * full_slope) / total
@@ -426,7 +427,8 @@ def _d_prime(frame: ExpectedFrame) -> float:
     """
     assert frame.background_e is not None
     readout = frame.readout
-    target_e, background_e = frame.signal_e, frame.background_e
+    target_e = frame.signal_e
+    background_e = frame.background_e
     difference_e = target_e - background_e
 
     # The mean variance of both: the variance of the mean signal, and of what grows with the square
@@ -484,7 +486,8 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     `MAX_D_PRIME`; with one the reason is empty.
     """
     assert frame.background_e is not None
-    readout, time_s = frame.readout, frame.integration_s
+    readout = frame.readout
+    time_s = frame.integration_s
     options = frame.imaging.metrics.options.detectability
     background_e = frame.background_e
     difference_e = frame.signal_e - background_e
@@ -658,7 +661,9 @@ class _VeilShares(NamedTuple):
 
 def veiled(frame: ExpectedFrame) -> _VeilShares:
     """Return what veiling glare makes of the light of a frame."""
-    camera, physics, light = frame.imaging.camera, frame.readout.physics, frame.light.mean
+    camera = frame.imaging.camera
+    physics = frame.readout.physics
+    light = frame.light.mean
     without_glare = _VeilShares(direct=1.0, stray=0.0)
     if not camera.veiling_glare:
         return without_glare
@@ -726,7 +731,8 @@ def _information(under_test: FrameUnderTest) -> tuple[float, float, float, float
     It counts for their share of the sensor. The power of a natural spectrum grows with the square
     of its contrast.
     """
-    frame, options = under_test.expected, under_test.options.information
+    frame = under_test.expected
+    options = under_test.options.information
     other_contrasts = options.other_contrasts
     share, mean_e, variance_e2 = _mean_level(frame)
     if not share:
@@ -747,7 +753,8 @@ def _information(under_test: FrameUnderTest) -> tuple[float, float, float, float
 
     bits = bits_per_mm2(options.contrast)
     mm_per_deg = frame.imaging.camera.image_distance_mm * math.radians(1.0)
-    low, high = math.nan, math.nan
+    low = math.nan
+    high = math.nan
     if other_contrasts is not None:
         low, high = map(bits_per_mm2, other_contrasts)
     return bits, bits * mm_per_deg**2, low, high
@@ -840,8 +847,10 @@ MTF50 = Metric(
 
 
 def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
-    frame, options = under_test.expected, under_test.options.snr10_lx
-    readout, development = frame.readout, frame.development
+    frame = under_test.expected
+    options = under_test.options.snr10_lx
+    readout = frame.readout
+    development = frame.development
     pitch_um = readout.physics.read_pitch_um
     dot_um = development.screen.dot_um or pitch_um
     pixels_across_dot = max(1.0, dot_um / pitch_um)
@@ -893,12 +902,11 @@ SNR10_LX = Metric(
 
 
 def _niirs(under_test: FrameUnderTest) -> tuple[float]:
-    frame, options, time_s = (
-        under_test.expected,
-        under_test.options.niirs,
-        under_test.frame.integration_s,
-    )
-    readout, camera = frame.readout, frame.imaging.camera
+    frame = under_test.expected
+    options = under_test.options.niirs
+    time_s = under_test.frame.integration_s
+    readout = frame.readout
+    camera = frame.imaging.camera
     pitch_um = readout.physics.read_pitch_um
     along, mtf = _mtf_along(frame)
     rer = relative_edge_response(along * 1e-3 * pitch_um, mtf)

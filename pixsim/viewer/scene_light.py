@@ -252,7 +252,9 @@ def prepare_scene(
     samples.
     """
     light.check()
-    irradiance, camera, physics = light.irradiance, imaging.camera, imaging.physics
+    irradiance = light.irradiance
+    camera = imaging.camera
+    physics = imaging.physics
     rendition = screen_rendition(imaging, irradiance)
 
     # Displays that differ in their viewer alone share the ideal picture.
@@ -382,7 +384,9 @@ class RecentScenes:
 
     def __call__(self, imaging: Imaging, light: SceneLight) -> PreparedScene:
         """Return the prepared scene, from before where nothing differs that it depends on."""
-        irradiance, pixel, physics = light.irradiance, imaging.pixel, imaging.physics
+        irradiance = light.irradiance
+        pixel = imaging.pixel
+        physics = imaging.physics
 
         # What the light behind the lens depends on.
         electrons = tuple(

@@ -364,9 +364,11 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
     cd_per_m2, w_per_m2_sr = (
         float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm)
     )
-    name, white = "white_w_per_m2_sr", w_per_m2_sr
+    name = "white_w_per_m2_sr"
+    white = w_per_m2_sr
     if cd_per_m2 > MIN_LM_PER_W * w_per_m2_sr:
-        name, white = "white_cd_per_m2", cd_per_m2
+        name = "white_cd_per_m2"
+        white = cd_per_m2
     source = (
         f"a white plate of reflectance {display.diffuser_reflectance:g}, {stated['distance_m']:.4g}"
         " m before the lens"

@@ -133,7 +133,8 @@ def stage_words(setting: Setting) -> list[str]:
     """What is on between the light on the sensor and the frame, in words for headlines, in the
     order of the light.
     """
-    exposure, veil = setting.exposure, setting.lens.veiling_glare
+    exposure = setting.exposure
+    veil = setting.lens.veiling_glare
     words = []
     if veil:
         amount = f"{100 * veil:.3g} %" if isinstance(veil, float) else "by wavelength"

@@ -41,8 +41,12 @@ _FLIP_PACKAGE = "flip_evaluator"
 
 
 def _acutance(under_test: FrameUnderTest) -> tuple[float]:
-    frame, imaging, development = under_test.expected, under_test.imaging, under_test.development
-    display, develop, screen = imaging.display, imaging.develop, development.screen
+    frame = under_test.expected
+    imaging = under_test.imaging
+    development = under_test.development
+    display = imaging.display
+    develop = imaging.develop
+    screen = development.screen
     pitch_um = development.readout.physics.read_pitch_um
     mm_per_deg = 1e-3 * display.samples_per_deg * (screen.dot_um or pitch_um)
     frequency = np.linspace(0.0, display.samples_per_deg / 2, POINTS)
@@ -84,7 +88,8 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     """Show a frame of a uniform patch, of the same sensor settings and exposure, in a stream of its
     own.
     """
-    development, imaging = under_test.development, under_test.imaging
+    development = under_test.development
+    imaging = under_test.imaging
     time_s = under_test.frame.integration_s
     correction = imaging.correction
     if imaging.develop.denoise == "wiener_bound":
@@ -201,7 +206,9 @@ def _raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
 
     signal_e : (rows, columns) of light, before anything clips
     """
-    readout, time_s, development = frame.readout, frame.integration_s, frame.development
+    readout = frame.readout
+    time_s = frame.integration_s
+    development = frame.development
     correction = frame.imaging.correction
     level_e = np.minimum(signal_e, full_e(readout, time_s))
     pixel_e2, column_e2, row_e2 = noise_of_expected_e2(level_e, readout, time_s, correction)
@@ -211,7 +218,8 @@ def _raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
         clipped = code_moments(tables, signal_e, unclipped_e2)
         pixel_e2 = np.maximum(pixel_e2 - (unclipped_e2 - clipped.variance_e2), 0.0)
         offset_factor = float(np.mean(np.square(clipped.offset_slope)))
-        column_e2, row_e2 = column_e2 * offset_factor, row_e2 * offset_factor
+        column_e2 = column_e2 * offset_factor
+        row_e2 = row_e2 * offset_factor
 
     white_e = frame.white_e * np.ones(signal_e.shape)
     if development.shading is not None:

@@ -21,13 +21,11 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import WHITE_XYZ, XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
 
-SRGB_LINEAR_TO, SRGB_SLOPE, SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = (
-    0.0031308,
-    12.92,
-    1.055,
-    0.055,
-    2.4,
-)
+SRGB_LINEAR_TO = 0.0031308
+SRGB_SLOPE = 12.92
+SRGB_SCALE = 1.055
+SRGB_OFFSET = 0.055
+SRGB_GAMMA = 2.4
 
 
 def _srgb_value(light: Numbers) -> Array:

@@ -70,7 +70,8 @@ _NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
 # Of the longest time of an automatic exposure: no whole number of periods of lamps, and below it.
 _PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
 # Of what dark charge leaves, of the brightest pixel.
-PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1
+PART_OF_WELL = 0.5
+MIN_PART_OF_WELL = 0.1
 STREAM = ("small light",)
 
 _MAX_CACHED_NOTES = 256  # of calls with records
@@ -143,7 +144,8 @@ def _imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
         options = record_with(imaging.metrics.options, path, value)
         return imaging.changed(metrics=replace(imaging.metrics, options=options))
     if table == "lens":
-        table, path = "camera", [ANY_LENS_FIELDS[path[0]]]
+        table = "camera"
+        path = [ANY_LENS_FIELDS[path[0]]]
     imaging = imaging.changed(**{table: record_with(getattr(imaging, table), path, value)})
     if name == "pixel.technology":
         imaging = imaging.changed(technology=load_technology(imaging.pixel.technology))
@@ -207,7 +209,8 @@ class _SmallLight:
             centre_nm = HIGH_NM - BAND_NM * (np.arange(count, 0, -1) - 0.5)
             width_nm = np.full(count, BAND_NM)
         else:
-            centre_nm, width_nm = picture.wavelength_nm, picture.band_width_nm
+            centre_nm = picture.wavelength_nm
+            width_nm = picture.band_width_nm
 
         # Two spectra, each with a picture of its own.
         spectra = np.stack([600 / centre_nm, centre_nm / 600])
@@ -232,7 +235,8 @@ class _SmallLight:
         """Return by what the light is multiplied so that no pixel is full, and automatic exposures
         are long.
         """
-        readout, exposure = imaging.readout, imaging.exposure
+        readout = imaging.readout
+        exposure = imaging.exposure
         assert self.light.factors is not None
         spectrum = self.light.factors[0].mean(axis=0)
         electrons = []
@@ -310,7 +314,9 @@ class _SmallLight:
 
     def prepared(self, imaging: Imaging) -> PreparedScene:
         """Return the light behind the lens, and the ideal picture."""
-        physics, develop, metrics = imaging.physics, imaging.develop, imaging.metrics
+        physics = imaging.physics
+        develop = imaging.develop
+        metrics = imaging.metrics
         pixels = str(physics.layout), physics.read_pitch_um, physics.border_um, physics.registration
         tone = develop.tone_curve, develop.tone_gamma, develop.tone_white
         key = (
@@ -474,11 +480,13 @@ def _changes_picture(base: _Trial, other: _Trial) -> bool:
         return False
 
     # The light before a display rounds it, then the picture and its ΔE.
-    development, other_development = base.chain.development, other.chain.development
+    development = base.chain.development
+    other_development = other.chain.development
     frame = base.frame
     if _differ(other_development.light(frame), development.light(frame), tolerance):
         return True
-    score, other_score = development.score(frame), other_development.score(frame)
+    score = development.score(frame)
+    other_score = other_development.score(frame)
     return _differ(other_score.image, score.image, tolerance) or _differ(
         other_score.delta_e, score.delta_e, 100 * RESOLVED * code
     )
@@ -543,7 +551,8 @@ class UserSettings:
 
         facts : further fields
         """
-        settings, picture = facts.get("settings"), facts.get("picture")
+        settings = facts.get("settings")
+        picture = facts.get("picture")
         names = [] if settings is None else list(changed_settings(settings, but=tuple(tables)))
         for table, record in tables.items():
             # A complete camera has its lens inside, whose settings have a table of their own, and
@@ -671,11 +680,10 @@ def _moves(case: UserSettings, name: str) -> bool:
 def _is_of_lens(case: UserSettings, name: str) -> bool | None:
     """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
-    is_of_file = (
-        case.imaging.camera.lens is not None
-        if table == "camera"
-        else field_name not in ANY_LENS_FIELDS
-    )
+    if table == "camera":
+        is_of_file = case.imaging.camera.lens is not None
+    else:
+        is_of_file = field_name not in ANY_LENS_FIELDS
     return is_of_file or None
 
 

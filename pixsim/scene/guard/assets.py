@@ -21,7 +21,8 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?")
 _NO_METAL = "none"
 _ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
 # Powers of ten between which numbers are written without an exponent, as Python's floats.
-MIN_PLAIN, MAX_PLAIN = -5, 16
+MIN_PLAIN = -5
+MAX_PLAIN = 16
 
 
 def check_asset(path: Path, what: str, most_bytes: int = MAX_ASSET) -> None:
@@ -73,11 +74,9 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
 
 def _plain(number: Decimal) -> str:
     """A number as Mitsuba reads it."""
-    return (
-        f"{number:f}"
-        if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN
-        else repr(float(number))
-    )
+    if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN:
+        return f"{number:f}"
+    return repr(float(number))
 
 
 @lru_cache

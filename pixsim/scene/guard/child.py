@@ -123,11 +123,9 @@ class _Child:
             reply = json.loads(self._line(ends_at_s))
             if "error" in reply:
                 raise _ReportedError(str(reply["error"]))
-            return (
-                reply
-                if picture is None
-                else self._picture((*picture, int(reply["channels"])), ends_at_s)
-            )
+            if picture is None:
+                return reply
+            return self._picture((*picture, int(reply["channels"])), ends_at_s)
         except _ReportedError:
             raise
         except PixsimError:  # no time is left
@@ -259,7 +257,8 @@ class ChildTracer:
     """
 
     def __init__(self, job: TraceJob, ends_at_s: Callable[[], float | None] = lambda: None) -> None:
-        self.job, self.ends_at_s = job, ends_at_s
+        self.job = job
+        self.ends_at_s = ends_at_s
 
     def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None) -> Any:
         with _starting:

@@ -137,7 +137,8 @@ class SceneFiles:
                 got = f"'{name}', which does not exist"
             raise invalid(what, f"{got}, in {place}", allowed)
 
-        absolute, target = Path(os.path.abspath(file)), Path(os.path.realpath(file))
+        absolute = Path(os.path.abspath(file))
+        target = Path(os.path.realpath(file))
         if not any(target.is_relative_to(root) for root in self.roots):
             got = f"'{absolute}', of another folder, in {place}"
             hint = (
@@ -190,9 +191,11 @@ class SceneFiles:
 def _no_value(word: str, path: Path, line: int) -> PixsimError:
     """Return the error for a word after `$` that begins with no parameter."""
     if PLAIN_WORD.fullmatch(word) is not None:
-        what, placeholder = f"'${word}'", word
+        what = f"'${word}'"
+        placeholder = word
     else:
-        what, placeholder = f"a parameter, {excerpt(word)},", "NAME"
+        what = f"a parameter, {excerpt(word)},"
+        placeholder = "NAME"
     return invalid(
         f"scene '{path}'",
         f"no value for {what} in line {line}",
@@ -225,7 +228,8 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
 
 def _without_comments(text: str) -> str:
     """Remove comments: Mitsuba's parser accepts two hyphens in a comment, which XML does not."""
-    pieces, at = [], 0
+    pieces = []
+    at = 0
     while (start := text.find("<!--", at)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
         pieces += [text[at:start], "\n" * text.count("\n", start, end)]  # keep line numbers
         at = end + 3
@@ -347,7 +351,8 @@ def _check_version(root: SceneElement) -> None:
 
 
 def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> None:
-    name, value = attributes.get("name", ""), attributes.get("value", "")
+    name = attributes.get("name", "")
+    value = attributes.get("value", "")
     if not re.fullmatch(r"[\w.-]+", name):
         got = f"a <default> whose name is {excerpt(name)}"
         raise invalid(f"scene '{path}'", got, "a name of letters, digits and _")

@@ -161,7 +161,8 @@ class InProcessTracer:
             lanes, shifts, density, share = self._tables[scene]
 
             # Samples: spp of each pass of each cell, which the sampler stratifies together.
-            pass_count, cells = len(passes.groups), (rows[1] - rows[0]) * width
+            pass_count = len(passes.groups)
+            cells = (rows[1] - rows[0]) * width
             random = sensor.sampler().clone()
             random.set_samples_per_wavefront(spp)
             random.seed(dr.opaque(mi.UInt32, seed), cells * pass_count * spp)
@@ -400,7 +401,8 @@ def _wavelength_below(
         1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= below
     )
     before = first + above - 1
-    left, right = dr.gather(mi.Float, density, before), dr.gather(mi.Float, density, before + 1)
+    left = dr.gather(mi.Float, density, before)
+    right = dr.gather(mi.Float, density, before + 1)
     missing = dr.maximum(below - dr.gather(mi.Float, share, before), 0.0)
 
     # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0

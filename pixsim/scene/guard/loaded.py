@@ -106,7 +106,9 @@ def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
     index = {"shape_index": file.shape_index} if file.plugin == "serialized" else {}
     # Mitsuba computes normals from the corners, which are not checked yet.
     mesh = mi.load_dict({"type": file.plugin, "filename": file.path, "face_normals": True} | index)
-    what, vertices, arrays = f"mesh '{file.path}'", mesh.vertex_count(), mi.traverse(mesh)
+    what = f"mesh '{file.path}'"
+    vertices = mesh.vertex_count()
+    arrays = mi.traverse(mesh)
     corners = np.array(arrays["faces"])
     if not (vertices and corners.size):
         raise invalid(

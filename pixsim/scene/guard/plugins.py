@@ -40,13 +40,12 @@ class Plugin:
     holds: tuple[str, ...] = ()
 
 
-NUMBER, WHOLE, FLAG, TEXT = (
-    PropertyRule(_NUMBER_TAGS),
-    PropertyRule(("integer",)),
-    PropertyRule(("boolean",)),
-    PropertyRule(("string",)),
-)
-TRANSFORM, POINT = PropertyRule(("transform",)), PropertyRule(("point", "vector"))
+NUMBER = PropertyRule(_NUMBER_TAGS)
+WHOLE = PropertyRule(("integer",))
+FLAG = PropertyRule(("boolean",))
+TEXT = PropertyRule(("string",))
+TRANSFORM = PropertyRule(("transform",))
+POINT = PropertyRule(("point", "vector"))
 COLOUR = PropertyRule(_COLOUR_TAGS, kinds=("texture",))
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
 INDEX = PropertyRule(("string", *_COLOUR_TAGS), kinds=("texture",))
@@ -151,10 +150,8 @@ _GRID_VOLUME = (
     | _properties(TEXT, "filter_type wrap_mode")
     | _properties(FLAG, "raw accel use_grid_bbox")
 )
-_SHAPE_CHILDREN, _SENSOR_CHILDREN = (
-    ("bsdf", "emitter", "medium", "texture"),
-    ("film", "sampler", "medium"),
-)
+_SHAPE_CHILDREN = ("bsdf", "emitter", "medium", "texture")
+_SENSOR_CHILDREN = ("film", "sampler", "medium")
 _SCENE_CHILDREN = (
     "sensor",
     "film",

@@ -21,7 +21,8 @@ from pixsim.scene.trial import trial_render
 
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2
-DRIVER_VARIABLE, DRIVER = "DRJIT_LIBCUDA_PATH", "libcuda.so.1"
+DRIVER_VARIABLE = "DRJIT_LIBCUDA_PATH"
+DRIVER = "libcuda.so.1"
 _DRIVER_FILES = Path(
     "/proc/driver/nvidia"
 )  # its version and its cards, which can be read without starting it

@@ -27,7 +27,9 @@ LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
 SYSTEM = "system"  # origin of a library, besides the variable and the wheel
 OLDEST_LLVM = 17
-LLVM, SCALAR, CUDA = "llvm_ad_spectral", "scalar_spectral", graphics.CUDA
+LLVM = "llvm_ad_spectral"
+SCALAR = "scalar_spectral"
+CUDA = graphics.CUDA
 VARIANTS = (LLVM, SCALAR, CUDA)
 UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` examines LLVM and the graphics card."
 _SYSTEM_PATTERNS = (  # of Debian, Fedora and Arch, in /usr
@@ -101,11 +103,9 @@ def _library_fault(path: str) -> str | None:
     try:
         version = _cached_version(path)
     except OSError:
-        return (
-            "cannot be loaded (no library for this machine)"
-            if os.path.exists(path)
-            else "cannot be loaded (no such file)"
-        )
+        if os.path.exists(path):
+            return "cannot be loaded (no library for this machine)"
+        return "cannot be loaded (no such file)"
     return None if version >= OLDEST_LLVM else f"is version {version or '15 or older'}"
 
 
@@ -208,7 +208,8 @@ def _for_processors(requested: str | None) -> tuple[ChosenVariant, str]:
     """Return LLVM, or else scalar, and in that case what it lacks for LLVM and how to get it."""
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # It is too late to choose a library, and scalar_spectral needs none.
-        path, reason = None, "Mitsuba was imported before its LLVM was checked"
+        path = None
+        reason = "Mitsuba was imported before its LLVM was checked"
         hint = f"import pixsim.scene.renderer before mitsuba and drjit, or set {LLVM_VARIABLE}"
     else:
         path, reason = find_llvm()

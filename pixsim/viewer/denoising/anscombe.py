@@ -84,7 +84,8 @@ def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tup
     gaussian_variance_e2 : σ²
     """
     flat_e = np.ravel(np.asarray(mean_e, float))
-    mean, variance = np.empty_like(flat_e), np.empty_like(flat_e)
+    mean = np.empty_like(flat_e)
+    variance = np.empty_like(flat_e)
     is_faint = flat_e + gaussian_variance_e2 < _SERIES_FROM_E
     mean[is_faint], variance[is_faint] = _summed(flat_e[is_faint], gaussian_variance_e2)
     mean[~is_faint], variance[~is_faint] = _series(flat_e[~is_faint], gaussian_variance_e2)
@@ -109,7 +110,8 @@ def _summed(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     if sigma_e:
         roots, squares = _gaussian_means(centres_e, sigma_e)
     else:
-        roots, squares = np.sqrt(centres_e), centres_e
+        roots = np.sqrt(centres_e)
+        squares = centres_e
     mean = 2 * (poisson * roots).sum(axis=1)
 
     # About the mean of each number, without the difference of two large numbers.

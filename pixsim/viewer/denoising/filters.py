@@ -31,7 +31,8 @@ PACKAGES = ("skimage", "pywt")
 NLM_PATCH, NLM_DISTANCE = 5, 6  # side of a patch, and how far its likes are looked for, in pixels
 _NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
 # The same for planes of any size from 48 pixels on: scikit-image's default grows with it.
-WAVELET, WAVELET_LEVELS = ("db2", 4)
+WAVELET = "db2"
+WAVELET_LEVELS = 4
 MIN_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 

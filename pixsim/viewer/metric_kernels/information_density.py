@@ -39,7 +39,9 @@ def _axis_weights(frequency: Array) -> Array:
     ordered = np.sort(frequency)
     steps = np.diff(ordered)
     if frequency.size > 1 and steps.min() > 0:
-        first, last, step = float(ordered[0]), float(ordered[-1]), float(steps[0])
+        first = float(ordered[0])
+        last = float(ordered[-1])
+        step = float(steps[0])
         tolerance = WITHIN * step
         is_even = frequency.size % 2 == 0
         is_sorted = bool((frequency == ordered).all())
@@ -159,7 +161,8 @@ def radial_spectrum(
     values = np.asarray(picture, float) / largest
     values = (values - float((values * window).sum() / window.sum())) * window
 
-    along_y, along_x = np.fft.fftfreq(picture.shape[0]), np.fft.rfftfreq(picture.shape[1])
+    along_y = np.fft.fftfreq(picture.shape[0])
+    along_x = np.fft.rfftfreq(picture.shape[1])
     blur = np.sinc(along_y)[:, None] * np.sinc(along_x)
     periodogram = np.abs(np.fft.rfft2(values) / blur) ** 2
     power = periodogram * (pitch_mm * largest) ** 2 / float((window**2).sum())

@@ -98,7 +98,9 @@ def detectability(
 
     # Offsets of the rows are solved for, which are to be the fewer ones.
     if delta.shape[0] > delta.shape[1]:
-        delta, weight, gains = delta.T, weight.T, gains.transpose(0, 2, 1)
+        delta = delta.T
+        weight = weight.T
+        gains = gains.transpose(0, 2, 1)
         column_precision, row_precision = row_precision, column_precision
     squared = _d_prime_squared(delta, weight, gains, column_precision, row_precision)
     return largest / math.sqrt(smallest) * math.sqrt(squared)

@@ -17,7 +17,9 @@ from pixsim.base.errors import invalid
 # Contrast sensitivity 75 ν^0.8 e^(-0.2 ν)/34.05, ν in cy/deg, of IEEE 1858 and ISO 15739:2013,
 # annex B: 3 at its peak, 4 cy/deg. G. M. Johnson & M. D. Fairchild, "A top down description of
 # S-CIELAB and CIEDE2000", Color Res. Appl. 28 (2003) 425.
-CSF_SCALE, CSF_POWER, CSF_DECAY = 75 / 34.05, 0.8, 0.2
+CSF_SCALE = 75 / 34.05
+CSF_POWER = 0.8
+CSF_DECAY = 0.2
 STEEPEST_DEG = 45.0
 
 Frequencies = Annotated[Array, NOT_NEGATIVE, Axes(1)]
@@ -33,7 +35,8 @@ def curve_from_0(name: str, frequency: Array, mtf: Array) -> tuple[Array, Array]
             f"{name} and mtf", f"shapes {frequency.shape} and {mtf.shape}", "equal shapes"
         )
     if frequency[0]:
-        frequency, mtf = np.append(0.0, frequency), np.append(1.0, mtf)
+        frequency = np.append(0.0, frequency)
+        mtf = np.append(1.0, mtf)
     if frequency.size < 2 or np.diff(frequency).min() <= 0:
         raise invalid(
             name,
