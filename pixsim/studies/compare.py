@@ -371,14 +371,14 @@ def compare(
 
     files : of the sensors: TOML files with a table [pixel], such as data sheets; files of
         technologies, or names of packaged ones. The first is the reference
-    scene : XML file or name of a packaged scene. None means that of the study, or csf
+    scene : XML file or name of a packaged scene. None means the scene of the study, or csf
     study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and
         conditions hold for all sensors, and its lens for files that state none. Under conditions,
-        the result is that of the weighted mean over them, and has `conditions`. With axes, the
+        the result holds for the weighted mean over them, and has `conditions`. With axes, the
         result has a comparison at each of their values as `cases`. Its pixels, technologies and
         pixel sizes are not used
-    match : 'view': the same field of view, f-number and object distance, those of the first file's
-        camera; 'lens': the same focal length; 'own': each file's own camera. Only the central field
+    match : 'view': the field of view, f-number and object distance of the first file's camera for
+        all; 'lens': the same focal length; 'own': each file's own camera. Only the central field
         that all have in common is compared. None means 'view', and says whether 'lens' turns the
         answer
     repeats : pairs of frames; frames of one number have the same seeds. None means 8, with `quick`
@@ -404,8 +404,8 @@ def compare(
     sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor
         types
     smaller_than_um, light, without : of a study; a comparison refuses them
-    axis, condition : tables of a study, in place of those of `study`: axis=[{"name": "lens", "set":
-        "camera.f_number", "values": [2.0, 4.0]}]
+    axis, condition : tables of a study, in place of the tables of `study`: axis=[{"name": "lens",
+        "set": "camera.f_number", "values": [2.0, 4.0]}]
     metrics : names of further metrics, or functions of a `Score`, each a number in its own unit;
         the verdict is by ΔE
     settings : tables and fields of `Study` for all sensors: camera={"f_number": 2.8}, exposure={…},
@@ -672,8 +672,8 @@ def _differences_of_types(
     """Evaluate the sensor types of both sensors of each pair under all conditions, and return the
     differences of each pair.
 
-    Those of ΔE come first for each pair, then those of further metrics. Warns of pairs without an
-    unknown number.
+    For each pair, the differences of ΔE come first, then the differences of further metrics. Warns
+    of pairs without an unknown number.
 
     result : with the sensors as they are
     rendered_sensors : the cases of the comparison in their light

@@ -122,10 +122,10 @@ class Comparison(Result):
 
     job : what was compared: scene, cameras, display and seeds
     table : of all evaluations
-    compared : what else is known of the sensor of each case of the job
+    compared : further properties of the sensor of each case of the job
     warned : warnings meanwhile
-    uncertainty : of each pair, what is known of its difference over sensor types by each metric, if
-        they were asked for
+    uncertainty : of each pair, statistics of its difference over sensor types by each metric, if
+        types were drawn
     combination : number of the values of axes
     """
 
@@ -182,8 +182,8 @@ class Comparison(Result):
         return self.job.condition_groups(self.combination, match=match)
 
     def groups_of_pair(self, other: str, match: Match | None = None) -> list[SensorGroup]:
-        """Return the groups of the first sensor and another one alone; where they see the same as
-        among all, that of all.
+        """Return the groups that compare the first sensor with another one alone. Where the two see
+        the same as among all sensors, it is the group of all sensors.
 
         other : name of the other sensor
         match : of the cameras; the comparison's own match by default

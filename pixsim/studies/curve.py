@@ -80,8 +80,8 @@ class CaseLabels:
 class CurveErrors:
     """What makes the mean ΔE of a curve unsure, beside noise and blur.
 
-    light, light_limit : errors of the light, the film's at the best of the pitches, and what is
-        tolerated of them
+    light, light_limit : errors of the light, with the film error at the best of the pitches, and
+        their largest tolerated values
     causes : of the mean ΔE of the best of the pitches, the largest first
     """
 
@@ -400,8 +400,8 @@ def curve_of(
 ) -> Curve:
     """Return the curve of one technology, with its optima, from its evaluations on one display.
 
-    metrics : of which there are optima, the first one that of the curve. None takes those of the
-        table
+    metrics : metrics that have optima; the first one is the metric of the curve. None takes the
+        metrics of the table
     label : of sensor and case, for messages
 
     Raises TooFewSizesError if too few pixel sizes are possible, or if the first of the metrics

@@ -1,4 +1,4 @@
-"""Cases: sensors with complete settings, their pixel sizes, and the keys of what is made of them.
+"""Cases: sensors with complete settings, their pixel sizes, and the keys of their results.
 
 The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A
 study without them is its own only case. In a comparison each sensor is a case, under each
@@ -240,8 +240,8 @@ def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -
 
 
 def border_on_um(study: Study, camera: Camera) -> float:
-    """Return the width on each side of a camera's die that a study does not score: that of its
-    pixels, and room for what moves.
+    """Return the width on each side of a camera's die that a study does not score: the border of
+    its pixels, and room for what moves.
 
     Raises PixsimError if nothing would be left.
     """
@@ -430,7 +430,7 @@ class Case(Generic[Settings]):
 
     @property
     def folder(self) -> str:
-        """Name of its folder in that of the study."""
+        """Name of the case's folder in the folder of the study."""
         return case_folder(self.words) or BASE
 
     def stream_at(self, pitch_um: float) -> tuple[object, ...]:
@@ -615,7 +615,7 @@ def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], s
 
 
 def _with_settings(table: dict[str, Any], settings: dict[str, Any]) -> dict[str, Any]:
-    """Return a study's tables with some settings replaced; those of [pixel] hold for its data
+    """Return a study's tables with some settings replaced. Settings of [pixel] hold for its data
     sheets, too.
     """
     merged = merge(table, settings)

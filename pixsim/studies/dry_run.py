@@ -76,7 +76,8 @@ def _counted(number: int, noun: str) -> str:
 
 
 def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
-    """Estimate the render of a light on a film of (H, W) samples, and what is made of it once.
+    """Estimate the seconds of rendering a light on a film of (H, W) samples, and of the
+    computations that follow once.
 
     Two renders show the noise. A film whose error turns out too large is rendered again, which is
     not foreseen.
@@ -275,7 +276,7 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
 
 
 def _planned_light(request: LightRequest) -> dict[str, Any]:
-    """Return the film of a light, and what is known of its errors before there is light.
+    """Return the film of a light, and the limits of its errors that hold before the render.
 
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of
         each in each pass

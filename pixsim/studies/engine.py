@@ -366,7 +366,7 @@ def _replies(
     processor time on each task.
 
     A batch is the next calls, as many as take `BATCH_SECONDS` at the pace of the last batch, and at
-    most a part of what is left.
+    most a part of the calls that are left.
 
     remote : id of the function that makes shared data -> these data on the workers
     """

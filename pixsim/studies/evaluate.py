@@ -754,7 +754,7 @@ def _suitable_workers(cases: Sequence[RenderedCase]) -> Workers:
 
 
 class _Evaluation:
-    """The evaluation of the points of some cases: what is missing, what is stored, and in which
+    """The evaluation of the points of some cases: the missing points, the stored rows, and their
     order.
 
     cases : in their lights

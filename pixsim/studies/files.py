@@ -347,9 +347,9 @@ def load_study(
     config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure
         and display, as for `pixsim run`; later files take precedence. The well and dark current of
         a data sheet scale with the photodiode's area.
-    parameters : of the scene; they override those of the study
-    pixel : fields of the pixels, each in its unit, which override those of the study and the files;
-        a data sheet may stand here instead of in a file, with its pitch_um
+    parameters : of the scene; they override the parameters of the study
+    pixel : fields of the pixels, each in its unit, which override the pixels of the study and the
+        files; a data sheet may stand here instead of in a file, with its pitch_um
     scene : XML file or name of a packaged scene
     quick : add the overrides of `read_study`: fewer pixel sizes and sensors
     settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um":
@@ -372,8 +372,8 @@ def load_study(
 def tables_of_python(
     settings: Mapping[str, object], metrics: Sequence[str | Callable[[Score], float]] = ()
 ) -> dict[str, Any]:
-    """Return tables and fields that stand in Python as those of a file: records as the fields that
-    they state, metrics by name.
+    """Return settings given in Python as the tables and fields of a file: records as the fields
+    that they state, metrics by name.
     """
     tables = dict(settings) | ({"metrics": metric_names(metrics)} if metrics else {})
     for name, value in tables.items():

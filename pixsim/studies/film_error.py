@@ -275,9 +275,9 @@ def _with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[
     """Return planes on `factor` times as many samples along an axis, with an edge within each old
     sample and its mean.
 
-    A sample between its neighbours holds a step from the light of one to that of the other, where
-    the mean puts it (subcell resolution: Harten, J. Comput. Phys. 83 (1989) 148). One that is
-    brighter or darker than both is uniform.
+    A sample between its neighbours holds a step from the light of one neighbour to the light of the
+    other, where the mean puts it (subcell resolution: Harten, J. Comput. Phys. 83 (1989) 148). One
+    that is brighter or darker than both is uniform.
     """
     samples = np.moveaxis(planes, axis, -1)
     padded = np.pad(samples, [(0, 0)] * (samples.ndim - 1) + [(1, 1)], mode="edge")
@@ -436,8 +436,8 @@ class FilmError:
         return np.interp(np.log(pitch_um), np.log(self.pitch_um), delta_e)
 
     def at(self, pitch_um: float) -> FilmError:
-        """Return the error and what is tolerated at one pitch, interpolated in the measured
-        ones.
+        """Return the error and its largest tolerated value at one pitch, interpolated between the
+        measured pitches.
         """
         error = float(self.error_at(np.array(pitch_um)))
         tolerated = float(
@@ -587,7 +587,7 @@ class FilmSteps:
     dot_samples : samples across a dot, of `samples_per_dot`
     blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur
         than the picture; or 0
-    is_chart : whether the finer films are those of a chart (`_chart_with_known_means`)
+    is_chart : whether the finer films show a chart (`_chart_with_known_means`)
     """
 
     delta_e: Array
@@ -796,8 +796,8 @@ class BehindLens:
         """Return the light of a part on some films.
 
         films : pictures with their halos, for `PartBehindLens`
-        width_ratio : samples across the film on which the PSFs are sampled, over those of the
-            picture
+        width_ratio : samples across the film on which the PSFs are sampled, over the samples across
+            the picture
         """
         height, width = (math.ceil(width_ratio * count) for count in self.image.shape)
         psf_film = (height, width), self.image.pitch_um / width_ratio

@@ -91,7 +91,7 @@ class LightRequest:
     scene, plan : of the first film, as for `render_on_film`
     plan_of : returns the plan of the scene on another film
     settings : with the limits of the render, and its seed
-    pixel : the least noisy one, with whose noise that of the render is compared
+    pixel : the least noisy pixel; the render noise is compared with its noise
     measured : pixels for which the error of the film is measured, with the camera
     """
 
@@ -305,8 +305,8 @@ def render_on_film(
     plan_of : returns the plan of the scene on another film
     measure : returns the film's error
     fixed : what sets the film, if it is not free
-    coarsening : samples across the planned film over those of the first film
-    max_seconds : of all renders; a film that would take longer than what is left of it is not
+    coarsening : samples across the planned film over samples across the first film
+    max_seconds : of all renders; a film that would take longer than the remaining time is not
         tried. None means a limit of the samples, `Plan.most_samples`.
     """
     if plan.film.resolution:
@@ -580,7 +580,7 @@ def _computed_lights(
 
 
 def _is_fine_by_far(film: FilmError) -> bool:
-    """Return whether the error of a film is far below what is tolerated."""
+    """Return whether the error of a film is far below the tolerated error."""
     return film.largest_delta_e <= _FAR_BELOW * min(film.tolerated_delta_e)
 
 

@@ -640,8 +640,8 @@ class Measured:
     relative : (P,) variance of one sensor over the square of the mean ΔE, pooled over all pitches
         but those that are `loud`
     degrees : (P,) of freedom of that variance
-    loud : (P,) whether the scatter of a pitch is significantly larger than that of the others, so
-        that it has its own
+    loud : (P,) whether the scatter of a pitch is significantly larger than the scatter of the
+        others, so that the pitch has its own variance
     design : in units of `scale`, or of the logarithm
     logarithmic : whether the logarithm is fitted
     """
@@ -944,11 +944,11 @@ def mean_of_sensors(values: Array) -> Array:
 
 
 def fittable_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
-    """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or
-    less of what more is better.
+    """Return which pitches, (P,), a fitted curve of a metric takes: the pitches at which every
+    sensor has a loss. Where more of a metric is better, a number of 0 or less has no loss.
 
-    Of what is worth nothing at a pitch between others, these are the ones on the side of the best.
-    A pitch without any number is not taken either.
+    If a metric is worth nothing at a pitch between others, the curve takes the pitches on the side
+    of the best. A pitch without any number is not taken either.
 
     values : (P, sensors), NaN without a number
     """

@@ -116,9 +116,9 @@ def weighted_frames(
     """Return the number of each frame of a sensor, by its labels and its repeat.
 
     Equal sensors of the conditions have equal random streams, so that the scatter of the weighted
-    mean is that of its sensors.
+    mean is the scatter over its sensors.
 
-    weights : share of each condition; those of 0 do not count. None without conditions
+    weights : share of each condition; conditions of share 0 do not count. None without conditions
     """
     frames: dict[tuple[object, ...], float] = {}
     averaged = (SENSOR,) if weights is None else (SENSOR, CONDITION)
@@ -160,11 +160,11 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
     spread points integrate it: it would make intervals up to twelve times too long
     (tests/benchmarks/repeats_interval.py). So half of the interval is the root of the sum of two
     squares. One is the noise of the sensors, by Student's t from their scatter at one registration.
-    The other is the error of the registrations: that of the blocks of 1, 2, 4, … points of which n
-    consists. For a block of 2ᵇ points it is 1.96 times the scatter of such blocks, and at least
-    that of half as many points over 2^1.5, as it falls for smooth functions (A. B. Owen, Ann. Stat.
-    25 (1997) 1541). The largest block has no scatter. Where registrations move the number by twenty
-    times its noise, that of two or three sensors holds 80 or 92 % only.
+    The other is the error of the registrations: the errors of the blocks of 1, 2, 4, … points of
+    which n consists. For a block of 2ᵇ points it is 1.96 times the scatter of such blocks, and at
+    least the error of half as many points over 2^1.5, as it falls for smooth functions (A. B. Owen,
+    Ann. Stat. 25 (1997) 1541). The largest block has no scatter. Where registrations move the
+    number by twenty times its noise, the interval of two or three sensors holds 80 or 92 % only.
 
     >>> interval = spread_interval(np.array([1.0, 2.0]), np.array([1.0, 1.0]))
     >>> [round(end, 2) for end in interval]  # 1.5 ± 1.96 × 0.707/2.83
@@ -192,11 +192,11 @@ def probability_above_zero(differences: Array) -> float:
     """Return the probability that the expected difference is above 0, from differences (n,), n > 1,
     of paired frames.
 
-    It is that of Student's t: F(t; n - 1), with t the mean over its standard error. It is the
-    posterior probability for normal differences of unknown mean and variance (uniform in mean and
-    in log σ), and above 0.975 exactly where the 95 % interval is above 0. It tells how sure the
-    simulation is of the means. It is not the share of frames that one sensor wins. Without any
-    scatter it is 0, 0.5 or 1.
+    It is the distribution function of Student's t: F(t; n - 1), with t the mean over its standard
+    error. It is the posterior probability for normal differences of unknown mean and variance
+    (uniform in mean and in log σ), and above 0.975 exactly where the 95 % interval is above 0. It
+    tells how sure the simulation is of the means. It is not the share of frames that one sensor
+    wins. Without any scatter it is 0, 0.5 or 1.
 
     >>> # t = 3.46 with 2 degrees of freedom
     >>> round(probability_above_zero(np.array([1.0, 2.0, 3.0])), 3)

@@ -6,9 +6,8 @@ et al. (2000) has. Where nobody sets them, its display has a dot for each column
 2048, and the CSF chart ends at the highest frequency that the sensor, the lens and the display can
 show. Both are chosen once a command, so that all its scores are comparable.
 
-Settings that do nothing are found here, and sensor types are drawn: values for the numbers of a
-study's sensors, or of those of a comparison, that are not known. What is made of the draws is in
-`pixsim.studies.uncertainty`.
+Settings that do nothing are found here, and sensor types are drawn: values for the unknown numbers
+of the sensors of a study or a comparison. `pixsim.studies.uncertainty` evaluates the draws.
 """
 
 from __future__ import annotations
@@ -1132,7 +1131,7 @@ def sensor_case(
     border_um : width that is not scored. None takes the border of its pixels, with room for what
         moves
     units : of light in files that do not state them
-    request : metrics. None takes ΔE and those of the settings
+    request : metrics. None takes ΔE and the metrics of the settings
     imaging_fields : further fields of `Imaging`, such as `is_run`
 
     Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many

@@ -189,7 +189,7 @@ def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array
     each sensor there, (P, sensors).
 
     Equal sensors of the conditions have equal random streams, so that the scatter of the mean is
-    that of its sensors.
+    the scatter over its sensors.
     """
     pitches_of_curves = [set(curve.pitch_um.tolist()) for curve, _ in weighted]
     pitch_um = np.array(sorted(set.intersection(*pitches_of_curves)))

@@ -288,8 +288,8 @@ class StudyResult(Result):
 class CasesResult(StudyResult):
     """The result of a study with axes or conditions.
 
-    parts : the result of each case; the light is that of the first
-    counts : what was made and what was reused
+    parts : the result of each case; the light is the light of the first case
+    counts : numbers of results that were computed and reused
     left_out : reasons why cases have no curves; each begins with technology and case
     findings : of a study that compares with the paper, for each case its statements
         (`pixsim.studies.claims.Finding`)

@@ -1,5 +1,5 @@
-"""Run a scene, or a picture of another program, through one sensor: from settings to mean ΔE, and
-what is known of its error.
+"""Run a scene, or a picture of another program, through one sensor: from settings to mean ΔE and
+the estimate of its error.
 
 Where a target is just seen is found by running the case in the light of other values of the scene.
 """
@@ -495,7 +495,8 @@ class RunResult(RenderedRun, Result):
         """Return the 95 % interval of the expectation of a number of the sensors. None of one
         sensor.
 
-        It is that of `spread_interval`, and by Student's t where all sensors have one registration.
+        It is the interval of `spread_interval`. Where all sensors have one registration, it is by
+        Student's t.
 
         values : (sensors,)
         column : its name among `statistics`
@@ -627,10 +628,10 @@ def run(
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
         precedence
     parameters : of the scene, each in its unit
-    pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the
+    pixel : fields of the pixel (`PixelOptions`), each in its unit, which override the fields of the
         files
     repeats : number of sensors of the kind, each at another registration with the picture; of
-        several, the result has `interval_delta_e`. Pictures are those of the first, which is
+        several, the result has `interval_delta_e`. Pictures belong to the first sensor, which is
         centred
     frames : number of frames of the first sensor, for the result's `further_frames`; the first is
         scored
@@ -670,7 +671,7 @@ def run(
 
 
 def run_prepared(prepared: Job[Run], *, progress: Stage | None = None) -> RunResult:
-    """Run what is prepared.
+    """Render a prepared run, and score it.
 
     progress : returns a callback for each named stage
     """

@@ -466,8 +466,8 @@ def _warn_of_settings_without_effect(
     complete : the same, with their cameras
     unused : dotted names of settings that only a study takes
 
-    Motion, display, correction and development are those of the first sensor; so is the lens,
-    unless each has its own.
+    Motion, display, correction and development are set by the first sensor; so is the lens, unless
+    each sensor has its own.
     """
     sensors: dict[str, list[UserSettings]] = {}
     for sensors_of_condition, resolved_cases in zip(stated, complete, strict=True):
@@ -490,7 +490,7 @@ def _warn_of_settings_without_effect(
 
 def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
     """Return the names of settings of a sensor's camera and lens, but of its die, that differ from
-    those of the first sensor.
+    the first sensor's settings.
     """
     return tuple(
         f"{table}.{name}"
@@ -772,9 +772,9 @@ def prepare(
 
     match : None means `view`, and another one as a further condition
     repeats : pairs of frames. None means `USUAL_REPEATS`
-    config, options : settings for all sensors, as tables; they take precedence over those of the
-        study, but not of its conditions. Both may have what only a study has, as axes and
-        conditions, in place of those of the study
+    config, options : settings for all sensors, as tables; they take precedence over the settings of
+        the study, but not over its conditions. Both may have tables that only a study has, such as
+        axes and conditions, in place of the tables of the study
     uncertainty, sobol : sensor types to draw, or points of total indices
     quick : take the overrides NAME.quick.toml of the study, and fewer pairs
     smaller_than_um : a question to a study, which is refused

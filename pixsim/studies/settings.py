@@ -161,8 +161,8 @@ def _settings(table: object) -> dict[str, Any]:
 
 
 def _condition_settings(table: object) -> object:
-    """Check which settings of a study a condition may change: those of an axis, without the
-    technology. ValueError for others.
+    """Check the settings that a condition changes: any setting that an axis may vary, but the
+    technology. Raise ValueError for others.
     """
     pixel = _settings(table).get("pixel")
     if isinstance(pixel, dict) and "technology" in pixel:
@@ -223,7 +223,7 @@ _FILES_OF_STUDY = re.compile(
 
 
 def case_folder(words: str) -> str:
-    """The name of a case's folder in that of the study, from its values and condition."""
+    """Return the name of a case's folder in the study's folder, from its values and condition."""
     return re.sub(r"[^\w.\-]+", "_", words)
 
 
@@ -472,8 +472,8 @@ _PITCH_RATIO = (
 
 
 class PitchRange(Record):
-    """Pitches at equal ratios, from that of `min_fill_factor` (or `min_um`) to `max_um`; or the
-    list `values_um`.
+    """Pitches at equal ratios, from the pitch with `min_fill_factor` (or `min_um`) to `max_um`; or
+    the list `values_um`.
     """
 
     min_fill_factor: Fraction = Field(0.05, description="fill factor of the smallest pixel size")
@@ -900,8 +900,8 @@ def study_layers(
 
     A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the
     study, whose sizes go from a quarter to four times its own unless a range is set. A technology
-    becomes the only one of the study; the pitch of its file is not used. What later layers make
-    void is removed from those of a study. A file that gives the study another name leaves it the
+    becomes the only one of the study; the pitch of its file is not used. Settings of a study that
+    later layers make void are removed. A file that gives the study another name leaves it the
     random streams of the first.
 
     studies : of `read_study`
@@ -1110,7 +1110,7 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
 
 
 def _is_settings(name: str) -> bool:
-    """Whether a technology's name is that of a TOML file, or of a packaged sensor."""
+    """Return whether a technology's name belongs to a TOML file, or to a packaged sensor."""
     return name in packaged_sensors() or (name.endswith(".toml") and Path(name).is_file())
 
 
@@ -1149,8 +1149,8 @@ def with_axes(
 
 
 def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
-    """Axes of a study: those of its file, and those of --axis NAME=VALUES, which replace the values
-    of an axis of that name.
+    """Return the axes of a study: the axes of its file, and the axes of --axis NAME=VALUES, which
+    replace the values of an axis of the same name.
 
     NAME is an axis of the file or a dotted setting; settings joined by + take each value together.
     VALUES are v1,v2,… or from:to:count, with :log for equal ratios. Raises PixsimError for a text

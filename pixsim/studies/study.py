@@ -596,12 +596,12 @@ def study(
         types
     smaller_than_um : sizes; the probability that the optimum is smaller is reported
     metrics : names of metrics, as ["delta_e", "detectability"], or functions of a `Score`, each a
-        number in its own unit; the first is that of `Curve.optimum`, and each has its own in
-        `Curve.optima`
+        number in its own unit; the first gives `Curve.optimum`, and `Curve.optima` has the optimum
+        of each
     light : on the sensor, rendered or of another program (`pixsim.read_irradiance`), in place of a
-        scene's. Its camera is that of its header, or the default, with `camera` over it. Axes and
-        conditions then vary the sensor and what follows it, and settings.toml repeats the study in
-        Python alone, with the same light
+        scene's. Its camera is the camera in its header, or the default; `camera` overrides it. Axes
+        and conditions then vary the sensor and what follows it, and settings.toml repeats the study
+        in Python alone, with the same light
     without : such light of the scene without its target, for the metrics detectability and npwe
     settings : other fields of `Study`, which override a named study's; tables as dicts:
         camera={"f_number": 2.8}, pitch={"min_um": 2.0}, exposure={…}, display={…}, seed=3,

@@ -1,5 +1,5 @@
-"""Many sensors in one light: the frames are those of `pixsim.evaluate`, computed as the evaluations
-of a study are.
+"""Many sensors in one light: the frames of `pixsim.evaluate`, computed as the evaluations of a
+study are.
 """
 
 from __future__ import annotations
@@ -118,13 +118,14 @@ def sweep(
 ) -> Table:
     """Evaluate many sensors in one light, rendered or of another program.
 
-    The frames are those of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same seed,
-    bit for bit; equal sensors have equal frames. All are shown with one white, and scored on the
-    same dots: the border of the largest pixels is left out. So pixels of one size have the numbers
-    of `evaluate`, and smaller ones among larger ones those of fewer dots.
+    The frames equal the frames of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same
+    seed, bit for bit. Equal sensors have equal frames. All are shown with one white, and scored on
+    the same dots: the border of the largest pixels is left out. So pixels of one size have the
+    numbers of `evaluate`, and smaller pixels among larger ones have numbers of fewer dots.
 
     pixels : of each sensor; a list, or names -> pixels
-    camera : of all. None means that of the light's header, or the default; a table is over it
+    camera : of all. None means the camera in the light's header, or the default; a table overrides
+        it
     exposure, display, correction, develop, motion, metric, without : of `pixsim.evaluate`, or
         tables of `pixsim.study`
     metrics : names of metrics, or functions of a Score that return a number; each has its columns.

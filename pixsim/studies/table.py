@@ -334,7 +334,7 @@ class Store:
         """Iterate over the rows that are as pixsim wrote them, one in memory at a time, and count
         those that were changed.
 
-        Rows without a check, as of release 1.1, are of other settings.
+        Rows without a check, which release 1.1 wrote, belong to other settings.
         """
         self.damaged = 0
         if not path.is_file():

@@ -91,9 +91,9 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
     effect turns more than twice over its range is underestimated: of Ishigami's second input, a
     cubic finds 0.02 of 0.44.
 
-    The standard error has two parts: that of the efficient estimator of the share (S. Da Veiga and
-    F. Gamboa, J. Nonparametr. Stat. 25 (2013) 573), and that of R² of p terms without any effect,
-    √(2p/((n - 1 - p)(n + 1))).
+    The standard error has two parts: the error of the efficient estimator of the share (S. Da Veiga
+    and F. Gamboa, J. Nonparametr. Stat. 25 (2013) 573), and the error of R² of p terms without any
+    effect, √(2p/((n - 1 - p)(n + 1))).
     """
     count = values.size
     freedom = count - 1 - DEGREE
@@ -503,7 +503,7 @@ class Sample:
         values : (n,) the result of each type
         scatter_variances : (n,) variance of each result by its own interval, for the share of
             `SCATTER`; NaN where it is not known
-        total : whether the types are those of `sobol_points`, which tell the `total` shares too
+        total : whether the types are from `sobol_points`, which give the `total` shares too
         """
         names = list(self.inputs)
         scatter = _scatter_share(values, scatter_variances)
@@ -531,8 +531,8 @@ def _scatter_share(values: Array, scatter_variances: Array) -> Share:
 
 
 def _inputs_of(unknowns: Sequence[Unknown]) -> dict[str, tuple[Unknown, ...]]:
-    """Return the independent inputs: technologies' unknowns of a `SHARED` quantity, those of one
-    process, each other one alone.
+    """Return the independent inputs: technologies' unknowns of a `SHARED` quantity together, the
+    unknowns of one quantity in one process together, and each other unknown alone.
 
     The numbers of data sheets were measured apart.
 
