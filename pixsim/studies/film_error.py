@@ -502,8 +502,8 @@ def _order_of_convergence(coarse_error: float, fine_error: float, width_ratio: f
 def light_error_and_limit(
     header: Mapping[str, Any], film: FilmError | None
 ) -> tuple[LightError, LightError]:
-    """Return the largest errors of a mean ΔE by its film and by the noise of its render, and what
-    is tolerated of them.
+    """Return the largest errors of a mean ΔE by its film and by the noise of its render, and the
+    largest tolerated errors.
 
     header : of the irradiance
     film : error of its film, or None if it was not measured

@@ -165,8 +165,8 @@ class Imaging:
         are centred.
 
         The first repeat of a run is centred: its registration is 0 along an axis with an even
-        number of pixels, and 0.5 with an odd one. The further ones are spread from there as those
-        of a study are from 0.
+        number of pixels, and 0.5 with an odd one. The further repeats are spread from there, as the
+        repeats of a study are spread from 0.
 
         array_um : (height, width) that the pixels of a run fill
         """

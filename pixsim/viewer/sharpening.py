@@ -49,8 +49,8 @@ def unsharp_mask(picture: Picture, amount: NotNegative, sigma_px: Positive) -> A
 def unsharp_response(
     frequency_cy_per_px: Finites, amount: NotNegative, sigma_px: Positive
 ) -> Array:
-    """Return the response of an unsharp mask along an axis, (...) as the frequencies, 1 at 0: that
-    of its sampled blur.
+    """Return the response of an unsharp mask along an axis, (...) as the frequencies, 1 at 0. It is
+    computed from the sampled blur.
 
     frequency_cy_per_px : in cycles per pixel
     amount, sigma_px : of `unsharp_mask`
