@@ -107,7 +107,7 @@ def field_bounds(stated: Sequence[object]) -> Bounds | None:
 
 
 def without_bounds(annotation: str, owner: Any) -> str:
-    """An annotation as the source spells it, with plain types in place of those with bounds, as
+    """An annotation as the source spells it, with plain types in place of bounded types, such as
     float for Positive.
 
     owner : function or class in whose module the names are known

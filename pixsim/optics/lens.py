@@ -549,8 +549,8 @@ class Lens:
         )
 
     def _entrance_pupil_scale(self, wavelength_nm: float) -> tuple[float, float]:
-        """Return the height in the stop over that in the entrance pupil, and the pupil's distance
-        from the first vertex in mm.
+        """Return the height in the stop over the height in the entrance pupil, and the pupil's
+        distance from the first vertex in mm.
 
         Raises PixsimError if the entrance pupil is at infinity.
         """
@@ -1401,8 +1401,8 @@ class Lens:
     def relative_illumination(
         self, field_deg: ArrayLike, wavelength_nm: Positive | None = None
     ) -> Array:
-        """Return irradiance on the image relative to that on the axis, (...), for a scene of
-        uniform radiance.
+        """Return irradiance on the image relative to the irradiance on the axis, (...), for a scene
+        of uniform radiance.
 
         wavelength_nm : the primary one by default
 

@@ -24,8 +24,8 @@ def signed_disc_um(camera: Camera, depth_m: float) -> float:
 
 
 def depth_of_disc_m(camera: Camera, signed_um: float) -> float:
-    """Return the depth of a point with a disc; infinite for discs as large as those at infinity,
-    and beyond.
+    """Return the depth of a point with a disc; infinite for discs at least as large as the disc of
+    a point at infinity.
     """
     dioptres = 1 / camera.object_distance_m - signed_um / _disc_per_dioptre_um(camera)
     return 1 / dioptres if dioptres > 0 else math.inf

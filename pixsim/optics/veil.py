@@ -3,8 +3,8 @@ falls evenly on the sensor.
 
 With g its share (ISO 9358, ISO 18844), E′ = (1 - g) E + g (1 + s) mean(E). The mean is over the
 film that is rendered and the margin around it; s is the light from outside of them that strays in,
-relative to that from within. So a black hole of share a in a uniform field, without fall-off, has g
-(1 - a)/(1 - g a) of its surround. The ideal picture has no veil.
+relative to the light from within. So a black hole of share a in a uniform field, without fall-off,
+has g (1 - a)/(1 - g a) of its surround. The ideal picture has no veil.
 """
 
 from __future__ import annotations

@@ -314,8 +314,8 @@ def _answer(result: Comparison, other: str) -> Answer:
 
 
 def facts(result: Comparison) -> Iterator[Block]:
-    """Yield a table of the sensors, the answers of cases and sensor types, and those by the other
-    metrics.
+    """Yield a table of the sensors, the answers of cases and sensor types, and the answers by the
+    other metrics.
     """
     first, *further = requested_metrics(result.job)
     yield _sensors_table(result, first)

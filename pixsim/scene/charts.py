@@ -1,7 +1,7 @@
 """Test charts as textures: relative luminance in [0, 1], (H, W) float32, row 0 at the top.
 
-A chart fills the die. Its frequencies are those on the sensor, so it depends on the width of the
-die, not on the lens.
+A chart fills the die. Its frequencies hold on the sensor, so it depends on the width of the die,
+not on the lens.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ class Inspection:
     shape : (H, W) of the film in samples
     bodies : its shapes in the camera's frame
     span : range that is computed: where lamps shine and one of the pixels sees
-    all_lamps, lamps : its lamps, and those with light in the range
+    all_lamps, lamps : its lamps, and the lamps with light in the range
     surfaces : spectra of its surfaces
     white : spectra that add up to the light of its white; none if it is unknown
     pixels : that see the scene

@@ -118,7 +118,7 @@ class TraceJob:
     text : inspected XML
     lamps : of each scene. None leaves the scene's own
     sensor : node of the sensor
-    lens : type of the sensor, and properties in place of those in `OF_THE_LENS`
+    lens : type of the sensor, and properties in place of the properties in `OF_THE_LENS`
     integrator : plugin and its parameters, or None for the scene's
     tables : (node, property, spectrum) of the tables of surfaces that a spectrum takes the place of
     size : (rows, columns) of the film for passes that are traced together

@@ -400,8 +400,8 @@ class Renderer:
         return ChildTracer(self.job, lambda: self.ends_at_s)
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
-        """Return the irradiance relative to that on the axis, at the centre of each rendered cell
-        of some rows and columns.
+        """Return the irradiance relative to the irradiance on the axis, at the centre of each
+        rendered cell of some rows and columns.
         """
         factor = camera_factor(self.camera, self.rendered_size, self.pitch_um, (rows, columns))
         return factor * (self.camera.transmittance / self.on_axis)

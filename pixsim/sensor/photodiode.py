@@ -396,8 +396,8 @@ def saturation_level_e(integration_s: float, readout: Readout) -> float:
 
 
 def full_pixels(generated_e: Array, stored_e: Array, readout: Readout) -> NDArray[np.bool_]:
-    """Return which pixels are full in one exposure, (...): those at the full well, or at
-    `_SOFT_FULL` of a soft one.
+    """Return whether pixels are full in one exposure, (...): at the full well, or at `_SOFT_FULL`
+    of a soft well.
 
     generated_e : charge, of light and dark
     stored_e : its signal level, of `stored_signal_e`

@@ -982,8 +982,8 @@ def _prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
 
 
 def read_noises_e(pixel: Pixel, technology: Technology) -> tuple[float, float]:
-    """Return the temporal read noise before the amplifier, and that after it in electrons at 0 dB,
-    without the reset noise.
+    """Return the temporal read noise before the amplifier, and the read noise after it in electrons
+    at 0 dB, without the reset noise.
     """
     # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
     stated_e = (

@@ -215,8 +215,8 @@ class Readout:
 
     @cached_property
     def dark_spread(self) -> DarkSpread:
-        """Dark currents relative to their mean: of ordinary pixels, and of those with a hot one
-        among them.
+        """Dark currents relative to their mean: of ordinary pixels, and of pixels that are hot or,
+        after binning, partly hot.
         """
         p = self.physics
         others = self._pixels - 1

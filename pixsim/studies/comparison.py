@@ -365,9 +365,9 @@ class Comparison(Result):
         """Return the difference of the first sensor and another one on each display, the stated one
         first.
 
-        On another display it is that on the stated one, plus what the display changes in the frames
-        that both show; so is its interval, which grows with mean ΔE. The film's error is measured
-        on the stated display, and twice taken on others.
+        On another display it is the difference on the stated display, plus the change by the
+        display in the frames that both show; so is its interval, which grows with mean ΔE. The
+        film's error is measured on the stated display, and twice taken on others.
 
         other : name of the other one
         match : of the cameras; the comparison's own match by default

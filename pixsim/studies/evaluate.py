@@ -672,7 +672,7 @@ class Counts:
 
     cases : combinations of axes and conditions
     prepared_scenes : lights behind the lens, for each render, display and spectral response
-    frames_reused : among the evaluations made, those with a frame of the cache, such as cases of
+    frames_reused : number of the evaluations that took their frame from the cache, such as cases of
         another display
     """
 

@@ -125,9 +125,9 @@ def is_uninformative(
     """Return whether a frame is the same in any light: all pixels are full, or the lightest dot
     moves no code out of its noise.
 
-    The codes of a pixel are compared with those in the dark: the difference of their means, as the
-    well, the ADC and code 0 clip them, over the standard deviation in the dark. In a burst that is
-    a part of its frame's.
+    The codes of a pixel are compared with its codes in the dark: the difference of their means, as
+    the well, the ADC and code 0 clip them, over the standard deviation in the dark. In a burst that
+    is a part of its frame's.
 
     readout : how the pixels are read
     white_e, integration_s, saturated_fraction : of `causes_of`

@@ -697,8 +697,8 @@ def _correlated_covariance(
     products: Products,
     correlations: Sequence[Array],
 ) -> Array:
-    """Return `_covariance_per_variance` of pixels that are correlated with those at the same place
-    of other unit cells.
+    """Return `_covariance_per_variance` of pixels that are correlated with the pixels at the same
+    place of other unit cells.
     """
     responses = _responses(cell, method, remosaiced)
     rows, columns, count, ky, kx = responses.shape

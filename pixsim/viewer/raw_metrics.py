@@ -127,8 +127,8 @@ class _CodeMoments(NamedTuple):
 class _ClippedExposure:
     """One exposure of a frame, of pixels that all have the same mean signal.
 
-    It takes the noise of the charge, before the well, and that behind it as normal. Each exposure
-    of a burst clips by itself.
+    It takes the noise of the charge, before the well, and the noise behind the well as normal. Each
+    exposure of a burst clips by itself.
     """
 
     def __init__(self, readout: Readout, time_s: float) -> None:

@@ -419,7 +419,7 @@ class _Trial:
 
     @property
     def ends_e(self) -> Array:
-        """Charge without light, and that at which a frame ends."""
+        """Charge without light, and the charge at which a frame ends."""
         return np.array(
             [self.readout.dark_current_e_per_s * self.time_s, self.readout.saturation_e]
         )
