@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 OK = 0
-UNEXPECTED = 1
-INVALID_INPUT = 2
+_UNEXPECTED = 1
+_INVALID_INPUT = 2
 
 
 def command() -> NoReturn:
@@ -59,41 +59,41 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         from pixsim.base.problems import explain
         from pixsim.cli.commands import run_command
     except ImportError as error:
-        end(broken(error), UNEXPECTED)
+        end(broken(error), _UNEXPECTED)
     ignore_matplotlibrc()
     try:
         run_command(sys.argv[1:] if tokens is None else tokens)
     except (PixsimError, ValidationError) as error:
-        end(explain(error), INVALID_INPUT)
+        end(explain(error), _INVALID_INPUT)
     except CycloptsError as error:
         from pixsim.cli.mistakes import refusal
 
-        end(refusal(error), INVALID_INPUT)
+        end(refusal(error), _INVALID_INPUT)
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             end(
                 "the limit of open files is too low; raise it with `ulimit -n 1024`, or give"
                 " --jobs 1",
-                INVALID_INPUT,
+                _INVALID_INPUT,
             )
         if not isinstance(error, BrokenPipeError):
-            end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
+            end(f"{error.filename or 'system'}: {error.strerror or error}", _INVALID_INPUT)
         discard_output()  # the reader, such as `head`, has closed the pipe
     except MemoryError:
         end(
             "the system is out of memory; use a coarser film (--resolution 512), larger pixels or"
             " fewer --jobs",
-            UNEXPECTED,
+            _UNEXPECTED,
         )
     except ImportError as error:
-        end(broken(error), UNEXPECTED)
+        end(broken(error), _UNEXPECTED)
     except KeyboardInterrupt as raised:  # a command that keeps something says so in its text
         end("; ".join([interruption.words, *map(str, raised.args)]), interruption.exit_code)
     except Exception as error:
         end(
             f"unexpected {type(error).__name__}: {error}\nThis is a bug in pixsim. --verbose shows"
             " where it occurred.",
-            UNEXPECTED,
+            _UNEXPECTED,
         )
     interruption.finish()
     sys.exit(OK)

@@ -42,7 +42,7 @@ from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
 QUIET = ("-q", "--quiet")
-VERBOSE = ("-v", "--verbose")
+_VERBOSE = ("-v", "--verbose")
 HELP = ("--help", "-h")
 HELP_ALL = "--help-all"
 app = App(
@@ -71,8 +71,8 @@ class Verbosity:
         anywhere.
         """
         self.quiet = any(name in arguments for name in QUIET)
-        self.verbose = not self.quiet and any(name in arguments for name in VERBOSE)
-        return [argument for argument in arguments if argument not in (*QUIET, *VERBOSE)]
+        self.verbose = not self.quiet and any(name in arguments for name in _VERBOSE)
+        return [argument for argument in arguments if argument not in (*QUIET, *_VERBOSE)]
 
     def note(self, text: str) -> None:
         if not self.quiet:

@@ -37,7 +37,7 @@ CONTROLLED_FIELDS = (
     "display.samples_per_deg",
 )
 # Tables that two sensors share, so that both see and show the same.
-SHARED_TABLES = ("scene", "camera", "lens", "display")
+_SHARED_TABLES = ("scene", "camera", "lens", "display")
 LENS = "lens.file"
 NO_LENS = "thin lens"
 # Labels of fields whose names are not a designer's words.
@@ -69,7 +69,7 @@ class Control:
     @property
     def is_shared(self) -> bool:
         """Whether two sensors have the same value."""
-        return self.path.partition(".")[0] in SHARED_TABLES
+        return self.path.partition(".")[0] in _SHARED_TABLES
 
     def value(self, sent: object) -> object:
         """Return the value of the field for a value that a page sent.

@@ -48,8 +48,8 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-MAX_MESSAGE_BYTES = 1 << 16  # of a message
-FIRST_S = 10.0  # for the token of a page
+_MAX_MESSAGE_BYTES = 1 << 16  # of a message
+_FIRST_S = 10.0  # for the token of a page
 RELOAD_S = 3.0  # for a page that is loaded again
 # Codes of a WebSocket that is closed.
 REFUSED = 4403
@@ -101,7 +101,7 @@ class Pages:
         if self.loop is not None and self.open is not None:
             with suppress(Exception):  # whatever a page that is just closed raises
                 sending = self.open.send_json(message)
-                asyncio.run_coroutine_threadsafe(sending, self.loop).result(FIRST_S)
+                asyncio.run_coroutine_threadsafe(sending, self.loop).result(_FIRST_S)
 
     async def file(self, request: Request) -> Response:
         """Return a file of the page."""
@@ -114,7 +114,7 @@ class Pages:
         self.loop = asyncio.get_running_loop()
         await page.accept()
         try:
-            first = await asyncio.wait_for(page.receive_json(), FIRST_S)
+            first = await asyncio.wait_for(page.receive_json(), _FIRST_S)
             token = first.get("token") if isinstance(first, dict) else None
             if not isinstance(token, str) or not self._is_token(token):
                 await page.close(REFUSED)
@@ -160,7 +160,7 @@ def served(session: Session) -> Iterator[Path]:
         "log_level": "critical",
         "access_log": False,
         "server_header": False,
-        "ws_max_size": MAX_MESSAGE_BYTES,
+        "ws_max_size": _MAX_MESSAGE_BYTES,
         "lifespan": "off",
     }
     server = uvicorn.Server(
@@ -178,7 +178,7 @@ def served(session: Session) -> Iterator[Path]:
     finally:
         server.should_exit = True
         if thread.is_alive():
-            thread.join(FIRST_S)
+            thread.join(_FIRST_S)
         listening.close()
         Path(name).unlink(missing_ok=True)
 

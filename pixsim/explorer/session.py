@@ -52,8 +52,8 @@ from pixsim.viewer.settings_file import run_settings
 MAX_LIGHTS = 3  # in memory
 MAX_SENSORS = 2  # side by side
 REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
-CURVE_STEPS = 4  # sizes on each side of the pixel's
-SIZES_PER_DECADE = 12  # from one pixel size to ten times it
+_CURVE_STEPS = 4  # sizes on each side of the pixel's
+_SIZES_PER_DECADE = 12  # from one pixel size to ten times it
 _PROGRESS_INTERVAL_S = 0.2  # between two words on what is being done
 LINE = 10_000  # columns: the page breaks lines itself
 LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
@@ -421,9 +421,9 @@ class Session:
         """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the
         nearest first, in one light.
         """
-        middle = round(SIZES_PER_DECADE * np.log10(rendered_run.prepared.settings.pixel.pitch_um))
-        for step in sorted(range(-CURVE_STEPS, CURVE_STEPS + 1), key=abs):
-            pitch_um = float(f"{10 ** ((middle + step) / SIZES_PER_DECADE):.3g}")
+        middle = round(_SIZES_PER_DECADE * np.log10(rendered_run.prepared.settings.pixel.pitch_um))
+        for step in sorted(range(-_CURVE_STEPS, _CURVE_STEPS + 1), key=abs):
+            pitch_um = float(f"{10 ** ((middle + step) / _SIZES_PER_DECADE):.3g}")
             preset, values = request.sensors[number]
             sensors = list(request.sensors)
             sensors[number] = preset, {**values, PITCH: pitch_um}

@@ -381,8 +381,8 @@ def _band_channel(wavelength_nm: float) -> str:
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-MAX_REDUCED_COLUMNS = 1024
-MAX_REDUCED_BYTES = 60_000_000
+_MAX_REDUCED_COLUMNS = 1024
+_MAX_REDUCED_BYTES = 60_000_000
 # Of the largest number of columns, by which it may be lowered: some number in between divides a
 # usual height to 2 % of a sample.
 NEAR = 8
@@ -402,8 +402,8 @@ def reduced_to_fit(image: SpectralImage) -> SpectralImage:
     if image.factors:
         channels = len(_merged(image).wavelength_nm) + len(image.factors[0])
 
-    fitting_columns = int(math.sqrt(MAX_REDUCED_BYTES / (4 * channels) * width / height))
-    max_columns = min(width, MAX_REDUCED_COLUMNS, max(fitting_columns, 1))
+    fitting_columns = int(math.sqrt(_MAX_REDUCED_BYTES / (4 * channels) * width / height))
+    max_columns = min(width, _MAX_REDUCED_COLUMNS, max(fitting_columns, 1))
     if max_columns == width:
         return image
 

@@ -543,7 +543,7 @@ MAX_RING = 1.5
 
 
 OUTLIER = 100.0
-SAMPLES_AN_OUTLIER = 10_000
+_SAMPLES_AN_OUTLIER = 10_000
 
 
 def lowest_allowed(header: dict[str, Any], highest: float) -> float:
@@ -570,7 +570,7 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
     >>> find_outliers(picture)
     [(3, 4)]
     """
-    max_count = max(1, picture.size // SAMPLES_AN_OUTLIER)
+    max_count = max(1, picture.size // _SAMPLES_AN_OUTLIER)
     if picture.size <= max_count + 1:
         return []
     order = np.argpartition(picture, -max_count - 1, axis=None)[-max_count - 1 :]
@@ -697,8 +697,8 @@ LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
 # are those of the grid.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
 MAX_COUNT = 1e30  # largest value of a spectrum, in any unit
-FINEST_REGULAR_NM = 0.1
-MAX_REGULAR_VALUES = 8192
+_FINEST_REGULAR_NM = 0.1
+_MAX_REGULAR_VALUES = 8192
 # 0.2 nm less a rounding error; tables with closer nodes need the finest step.
 _COARSE_SPACING_NM = 0.199
 
@@ -815,11 +815,11 @@ def regular_values(table: Spectrum) -> Array | None:
     """Resample a table at equal steps without changing it, or return None if no step of at least
     0.1 nm does so.
     """
-    distances = np.diff(table.nodes_nm) / FINEST_REGULAR_NM
+    distances = np.diff(table.nodes_nm) / _FINEST_REGULAR_NM
     counts = np.rint(distances).astype(int)
     if not np.allclose(distances, counts, rtol=0, atol=1e-6) or not np.all(counts > 0):
         return None
     count = int(counts.sum()) // int(np.gcd.reduce(counts)) + 1
-    if count > MAX_REGULAR_VALUES:
+    if count > _MAX_REGULAR_VALUES:
         return None
     return table.at(np.linspace(table.nodes_nm[0], table.nodes_nm[-1], count))

@@ -27,12 +27,12 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)
 _BEGINS_NUMBER = re.compile(r'\s*"?[+-]?[.,]?\d')
 # Between titles that blanks part: two blanks, one that is neither before nor within brackets, a
 # comma, one after a bracket.
-TITLE_SEPARATORS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
+_TITLE_SEPARATORS = (r"\s{2,}|\t", r"\s+(?![(\[])(?![^(\[]*[)\]])", r"\s*,\s*", r"(?<=[)\]])\s+")
 MAX_DIGITS = 400  # of a cell: more than any double needs
 # Titles stand close above the numbers, in short cells; the time to look for words and units in one
 # grows with its square.
 MAX_TITLE = 1000
-MAX_TITLES = 100
+_MAX_TITLES = 100
 # Words of a title for a unit of wavelength: its symbol. A lone A is one only in brackets.
 UNIT_WORDS = {
     **dict.fromkeys(("nm", "nanometer", "nanometre"), "nm"),
@@ -317,7 +317,7 @@ def _title_rows(
     headers: Sequence[Sequence[str]], width: int, separator: str | None
 ) -> list[list[str]]:
     """Return the last rows of titles, those that have one title for each of `width` columns."""
-    rows = (_titles(header, width, separator) for header in headers[-MAX_TITLES:])
+    rows = (_titles(header, width, separator) for header in headers[-_MAX_TITLES:])
     return [titles for titles in rows if titles]
 
 
@@ -329,7 +329,7 @@ def _comment_titles(cells: Cells, width: int) -> list[list[str]]:
         return []
     # Units of a comment may be those of columns that are no longer there: it must fit as it is.
     parted = [cell.strip() for cell in cells.comment.split(cells.separator or ",")]
-    titles = _titles([cells.comment], width, None, TITLE_SEPARATORS[:3]) or _titles(
+    titles = _titles([cells.comment], width, None, _TITLE_SEPARATORS[:3]) or _titles(
         parted, width, ","
     )
     return [titles] if titles else []
@@ -351,7 +351,7 @@ def _titles(
     header: Sequence[str],
     count: int,
     separator: str | None,
-    separator_patterns: Sequence[str] = TITLE_SEPARATORS,
+    separator_patterns: Sequence[str] = _TITLE_SEPARATORS,
 ) -> list[str]:
     """Title of each of `count` columns; empty if a header has another number of them, or longer
     texts.

@@ -45,7 +45,7 @@ _MTF_POINTS = 61
 MTF_LINES = ("tangential", "sagittal")
 _PSF_SPOTS = 6  # rms radii along a side of a PSF
 _PSF_SAMPLES = 3  # of the width λN along a side
-MAX_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
+_MAX_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MAX_FINE_WAVES = 3000  # samples along a side, on which waves interfere
 _MAX_WIDTHS = (
     300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
@@ -56,8 +56,8 @@ _RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
 # surfaces
 _MAX_TRACED = 5e6
 # Of the cross-section: shares of the largest field, and heights of its rays in the stop.
-CUT_FIELDS = (0.0, 0.7, 1.0)
-CUT_HEIGHTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+_CUT_FIELDS = (0.0, 0.7, 1.0)
+_CUT_HEIGHTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _CUT_EDGE = 1.05  # of the rays' heights, for a surface without a size
 CUT_POINTS = 81  # of a surface
 _BEFORE_LENS = 0.15  # of its length: a piece of the parallel light in front
@@ -273,14 +273,14 @@ def lens_data(
     )
     geometric = side_um > _MAX_WIDTHS * 1e-3 * shortest_nm * f_number
     psf_pitch_um = min(
-        max(1e-3 * shortest_nm * f_number / _PSF_SAMPLES, side_um / MAX_SAMPLES),
+        max(1e-3 * shortest_nm * f_number / _PSF_SAMPLES, side_um / _MAX_SAMPLES),
         500 / min(highest_lp_per_mm, 1.05 * cutoff_lp_per_mm),
     )
     if not geometric:
         psfs = _point_spreads(lens, lit_deg, wavelengths_nm, psf_pitch_um, side_um)
         geometric = not psfs
     if geometric:
-        psf_pitch_um = side_um / MAX_SAMPLES
+        psf_pitch_um = side_um / _MAX_SAMPLES
         psfs, mtf = ray_spreads(lens, lit_deg, wavelengths_nm, psf_pitch_um, frequency_lp_per_mm)
     else:
         mtf = np.empty((len(psfs), 2, frequency_lp_per_mm.size))
@@ -430,7 +430,7 @@ def ray_spreads(
     x = grid_x[is_in_stop]
     y = grid_y[is_in_stop]
     limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, lens.working_f_number)
-    edges = (np.arange(MAX_SAMPLES + 2) - (MAX_SAMPLES + 1) / 2) * pitch_um
+    edges = (np.arange(_MAX_SAMPLES + 2) - (_MAX_SAMPLES + 1) / 2) * pitch_um
     psfs = []
     mtf = []
     for angle in field_deg:
@@ -495,12 +495,12 @@ def cross_section(lens: Lens) -> _CrossSection:
     and halfway between.
     """
     surfaces = lens.prescription.surfaces
-    heights = np.array(CUT_HEIGHTS)
+    heights = np.array(_CUT_HEIGHTS)
     vertices = np.cumsum([0.0, *(surface.thickness_mm for surface in surfaces)])
     length_mm = float(vertices[-1])
-    shares = CUT_FIELDS if lens.max_field_deg else CUT_FIELDS[:1]
+    shares = _CUT_FIELDS if lens.max_field_deg else _CUT_FIELDS[:1]
     fields = [share * lens.max_field_deg for share in shares]
-    paths = [lens.ray_points(angle, lens.primary_nm, 0 * heights, CUT_HEIGHTS) for angle in fields]
+    paths = [lens.ray_points(angle, lens.primary_nm, 0 * heights, _CUT_HEIGHTS) for angle in fields]
     reached = np.nanmax(np.abs([path[:, :-1, 1] for path in paths]), axis=(0, 1))
     outlines = []
     for surface, vertex, max_height in zip(surfaces, vertices, reached, strict=False):
@@ -517,7 +517,7 @@ def cross_section(lens: Lens) -> _CrossSection:
 
     rays: dict[float, list[tuple[float, Array, Array]]] = {}
     for angle, path in zip(fields, paths, strict=True):
-        waves = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), CUT_HEIGHTS)
+        waves = lens.wavefront(angle, lens.primary_nm, np.zeros(heights.size), _CUT_HEIGHTS)
         passed = waves.passed[0]
         z = path[passed, :, 2]
         y = path[passed, :, 1]

@@ -80,9 +80,9 @@ _MAX_BELOW_BLACK = 0.01
 _MAX_SATURATED = 1e-3  # of a region's pixels
 _SHARPENS = "this sharpens the edge"  # what clipping does
 LUMINANCE = "luminance"
-LUMINANCE_WEIGHTS = {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
+_LUMINANCE_WEIGHTS = {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
 COVERAGE = 0.95  # of the intervals
-FINER = 4  # frequencies for each of the DFT
+_FINER = 4  # frequencies for each of the DFT
 # Neighbours whose residuals give one variance: the noise varies slowly with the signal.
 _POOLED_BINS = 9
 # Without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters
@@ -111,8 +111,8 @@ _MIN_NOISE = 1e-4  # of the step, less tells nothing
 _MAX_CORRELATION = 0.2  # between neighbours, of noise that the interval takes as white
 _UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, and of X-Trans
 # Differences of the means of a cell's places on a side: of the step, and of their noise.
-MAX_PARITY = 0.01
-PARITY_SIGMAS = 6.0
+_MAX_PARITY = 0.01
+_PARITY_SIGMAS = 6.0
 
 
 @checked_methods
@@ -352,7 +352,7 @@ def edge_response(
 
 def _finest_spreads(
     channels: Sequence[_WeightedChannel], fit: _EdgeFit, half_px: float, spacing: int
-) -> tuple[int, list[EdgeSpread]]:
+) -> tuple[int, list[_EdgeSpread]]:
     """Return the finest bins, a number a pixel, that all have pixels, and the edge spread of each
     channel in them.
 
@@ -484,9 +484,9 @@ def _named_channels(layout: Layout, channel: str | None) -> list[tuple[str, floa
     """
     if channel in layout.channels:
         return [(str(channel), 1.0)]
-    has_luminance = set(LUMINANCE_WEIGHTS) <= set(layout.channels)
+    has_luminance = set(_LUMINANCE_WEIGHTS) <= set(layout.channels)
     if channel == LUMINANCE and has_luminance:
-        return list(LUMINANCE_WEIGHTS.items())
+        return list(_LUMINANCE_WEIGHTS.items())
     names = list(layout.channels)
     if has_luminance:
         names.append(LUMINANCE)
@@ -538,7 +538,7 @@ def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple
         differences[diagonal] = abs(first - second) / max(first + second, 1e-300)
     green, other = sorted(differences, key=lambda diagonal: differences[diagonal])
     difference = differences[green]
-    if not (difference < MAX_PARITY and differences[other] > 5 * max(difference, MAX_PARITY / 5)):
+    if not (difference < _MAX_PARITY and differences[other] > 5 * max(difference, _MAX_PARITY / 5)):
         got = (
             "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels"
             " stands out as green"
@@ -796,7 +796,7 @@ def _clipping_words(
 
 
 def _check_kinks(
-    grids: Sequence[_ChannelGrid], fit: _EdgeFit, spread: EdgeSpread, is_unclipped: bool
+    grids: Sequence[_ChannelGrid], fit: _EdgeFit, spread: _EdgeSpread, is_unclipped: bool
 ) -> None:
     """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if
     it has kinks at both sides.
@@ -909,7 +909,7 @@ def _check_mosaic(data: Array) -> None:
             parts = [side[row::cell, column::cell] for row in range(cell) for column in range(cell)]
             means = np.array([part.mean() for part in parts])
             error = max(float(part.std()) / math.sqrt(part.size) for part in parts)
-            if np.ptp(means) > max(MAX_PARITY * step, PARITY_SIGMAS * math.sqrt(2) * error):
+            if np.ptp(means) > max(_MAX_PARITY * step, _PARITY_SIGMAS * math.sqrt(2) * error):
                 rows = " / ".join(
                     " ".join(f"{value:.5g}" for value in line) for line in means.reshape(cell, cell)
                 )
@@ -1203,7 +1203,7 @@ def _rows_within(grid: _ChannelGrid, rows: Array) -> _ChannelGrid:
     return _ChannelGrid(grid.data[inside], grid.row[inside], grid.x)
 
 
-class EdgeSpread(NamedTuple):
+class _EdgeSpread(NamedTuple):
     """An edge spread function: (N,) distances of the bins, numbers of pixels, their means, and the
     variances of the means.
     """
@@ -1216,7 +1216,7 @@ class EdgeSpread(NamedTuple):
 
 def edge_spread(
     grids: Sequence[_ChannelGrid], fit: _EdgeFit, half_px: float, bins_a_pixel: int
-) -> EdgeSpread:
+) -> _EdgeSpread:
     """Bin pixels by their distance from the edge, which rises from left to right.
 
     The variance is of the pixels about the mean course through the bins, pooled over neighbouring
@@ -1240,7 +1240,7 @@ def edge_spread(
     distance_px = np.concatenate(distances)
     pixels = np.bincount(index, minlength=count)
     if pixels.min() == 0:
-        return EdgeSpread(centre_px, pixels, centre_px, centre_px)
+        return _EdgeSpread(centre_px, pixels, centre_px, centre_px)
 
     # Pixels fill a bin unevenly, so its mean belongs to their mean distance. Without this
     # correction the SFR is 0.003 off.
@@ -1254,7 +1254,7 @@ def edge_spread(
     scatter = np.maximum(uniform_filter1d(squares, _POOLED_BINS), 0.0) / np.maximum(
         freedom, 1.0 / _POOLED_BINS
     )
-    return EdgeSpread(centre_px, pixels, mean, scatter / pixels)
+    return _EdgeSpread(centre_px, pixels, mean, scatter / pixels)
 
 
 def _smooth_course(centre_px: Array, mean: Array) -> CubicSpline:
@@ -1331,11 +1331,11 @@ def _mtf50_interval(
 
     frequency : of the DFT, from 0
     """
-    fine = np.linspace(0.0, frequency[-1], FINER * (frequency.size - 1) + 1)
+    fine = np.linspace(0.0, frequency[-1], _FINER * (frequency.size - 1) + 1)
     low, high = _sfr_bounds(spread, variance, bins_a_pixel, fine)
 
     def without_short_dips(bound: Array) -> Array:
-        highest_ahead = maximum_filter1d(bound, FINER, origin=-(FINER // 2), mode="nearest")
+        highest_ahead = maximum_filter1d(bound, _FINER, origin=-(_FINER // 2), mode="nearest")
         return np.where(highest_ahead < 0.5, bound, np.maximum(bound, 0.5))
 
     low_mtf50 = first_crossing(fine, without_short_dips(low), 0.5)
@@ -1487,7 +1487,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     rgb = None
     if data.ndim == 3:
         rgb = channel or LUMINANCE
-        if rgb not in (*LUMINANCE_WEIGHTS, LUMINANCE):
+        if rgb not in (*_LUMINANCE_WEIGHTS, LUMINANCE):
             raise invalid(
                 setting("channel"),
                 f"'{channel}' of '{path}', a picture of red, green and blue",
@@ -1495,7 +1495,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
             )
 
         if rgb == LUMINANCE:
-            data = data @ np.array(list(LUMINANCE_WEIGHTS.values()))
+            data = data @ np.array(list(_LUMINANCE_WEIGHTS.values()))
         else:
             data = data[..., "RGB".index(rgb)]
 

@@ -420,7 +420,7 @@ def _positive(path: Path, name: str, value: object) -> float:
     except (TypeError, ValueError):
         number = np.nan
 
-    low, high = PICTURE_BOUNDS[name]
+    low, high = _PICTURE_BOUNDS[name]
     if not low <= number <= high:
         got = "no number" if np.isnan(number) else f"{number:g}"
         raise invalid(f"{name} of '{path}'", got, f"a positive number, {low:g} to {high:g}")
@@ -429,7 +429,7 @@ def _positive(path: Path, name: str, value: object) -> float:
 
 # Samples from a thousandth of a pixel's smallest pitch to a die of their own, and the luminances
 # that a display's white may have.
-PICTURE_BOUNDS = {"pitch_um": (1e-6, 1e6), "white_cd_per_m2": (1e-12, 1e15)}
+_PICTURE_BOUNDS = {"pitch_um": (1e-6, 1e6), "white_cd_per_m2": (1e-12, 1e15)}
 
 
 def _check_band(

@@ -251,8 +251,8 @@ _SHARED_NAMES = re.compile(
 _SIX_DIGITS = re.compile(r"(\d{3})(\d{3})|(\d{3,6})\.(\d{3,6})")
 _HIGH_INDEX = 300  # a code of less is that of n_d above 2: no glass has n_d below 1.4
 # Of two statements of one glass, V_d relative: melts and rounding differ by less.
-TOLERANCE_N_D = 5e-4
-TOLERANCE_V_D = 0.01
+_TOLERANCE_N_D = 5e-4
+_TOLERANCE_V_D = 0.01
 
 
 def _code_numbers(name: str) -> tuple[float, float] | None:
@@ -460,8 +460,8 @@ def _has_numbers(glass: Glass, numbers: tuple[float, float]) -> bool:
     """Whether a glass has these n_d and V_d."""
     n_f, n_d, n_c = (float(glass.index(1e3 * LINES_UM[line])) for line in "FdC")
     return (
-        abs(n_d - numbers[0]) < TOLERANCE_N_D
-        and abs((n_d - 1) / (n_f - n_c) / numbers[1] - 1) < TOLERANCE_V_D
+        abs(n_d - numbers[0]) < _TOLERANCE_N_D
+        and abs((n_d - 1) / (n_f - n_c) / numbers[1] - 1) < _TOLERANCE_V_D
     )
 
 

@@ -65,8 +65,8 @@ _MAX_DISTANCE_MM = 1e13  # of an object that is not at infinity: `FAR` in m
 # What is smaller than these, and not 0, has no effect: it is a mistake, and operations on denormal
 # numbers take very long.
 _MIN_LENGTH_MM = 1e-7  # of a thickness or an opening: an atom
-MIN_CURVATURE_PER_MM = 1e-12
-MIN_CONIC = 1e-9
+_MIN_CURVATURE_PER_MM = 1e-12
+_MIN_CONIC = 1e-9
 _MIN_SAG_MM = 1e-15  # of a term of an asphere at `_MAX_LENGTH_MM`
 _WAVELENGTHS_NM = (10.0, 1e6)
 F_NUMBERS = (0.1, 1e5)
@@ -280,9 +280,9 @@ _APERTURES: dict[Aperture, tuple[float, float]] = {
     "object_numerical_aperture": _NUMERICAL_APERTURES,
 }
 MIN_SIZES = {
-    "curvature_per_mm": MIN_CURVATURE_PER_MM,
+    "curvature_per_mm": _MIN_CURVATURE_PER_MM,
     "thickness_mm": _MIN_LENGTH_MM,
-    "conic": MIN_CONIC,
+    "conic": _MIN_CONIC,
 }
 
 
@@ -793,8 +793,8 @@ _FIELD_KINDS: dict[int, FieldOfView] = {
     2: "paraxial_image_height",
     3: "real_image_height",
 }
-USUAL_FIELDS = 12  # of older files, in which the places of unused ones are filled up
-MAX_FIELDS = 200
+_USUAL_FIELDS = 12  # of older files, in which the places of unused ones are filled up
+_MAX_FIELDS = 200
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
 FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
 _HOW_TO_GIVE_ZMX = (
@@ -975,8 +975,8 @@ _OTHER_OPERANDS = frozenset(
     )
 )
 # Solves of a thickness: the focus of the axial ray, and sums of several.
-FOCUS = "MAZH"
-OTHER_SOLVES = ("TCOM", "TOLE")
+_FOCUS = "MAZH"
+_OTHER_SOLVES = ("TCOM", "TOLE")
 
 
 def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
@@ -1135,15 +1135,15 @@ def _solved_surfaces(path: Path, blocks: Sequence[_Block]) -> list[int]:
     """
     solved = []
     for index, block in enumerate(blocks):
-        for line in block.all(FOCUS, *OTHER_SOLVES):
+        for line in block.all(_FOCUS, *_OTHER_SOLVES):
             where = f"{block.place(path)}, line {line.number}"
             numbers = [_zmx_number(where, line, place, 0.0) for place in (0, 1)]
-            if line.keyword != FOCUS or any(numbers):
+            if line.keyword != _FOCUS or any(numbers):
                 words = " ".join(f"{number:g}" for number in numbers)
                 raise invalid(
                     where,
                     f"the solve {line.keyword} {words} of a thickness",
-                    f"{FOCUS} 0 0, the paraxial focus",
+                    f"{_FOCUS} 0 0, the paraxial focus",
                     "Make the configuration the active one.",
                 )
             solved.append(index)
@@ -1163,8 +1163,8 @@ def _set_operand(path: Path, head: _Block, blocks: list[_Block], line: _Line, va
             raise invalid(f"{where}: {keyword}", f"surface {target}", f"0 to {len(blocks) - 1}")
         blocks[target].put("DISZ", value)
     elif keyword in _FIELD_OPERANDS:
-        if not 1 <= target <= MAX_FIELDS:
-            raise invalid(f"{where}: {keyword}", f"field {target}", f"1 to {MAX_FIELDS}")
+        if not 1 <= target <= _MAX_FIELDS:
+            raise invalid(f"{where}: {keyword}", f"field {target}", f"1 to {_MAX_FIELDS}")
         name, older = _FIELD_OPERANDS[keyword]
         head.put(
             older if head.first(name) is None and head.first(older) else name, value, target - 1
@@ -1630,17 +1630,17 @@ def _zmx_fields(path: Path, head: _Block) -> tuple[int, list[tuple[float, float]
     line = head.first("FTYP")
     kind = int(_zmx_number(where, line, 0, 0.0)) if line else 0
     # Behind the first numbers are those of fields that are not in use.
-    count = int(_zmx_number(where, line, 2, USUAL_FIELDS)) if line else USUAL_FIELDS
+    count = int(_zmx_number(where, line, 2, _USUAL_FIELDS)) if line else _USUAL_FIELDS
     values = [_zmx_list(path, head, *names) for names in (("XFLN", "XFLD"), ("YFLN", "YFLD"))]
-    return kind, list(zip(*values, strict=True))[: min(max(count, 0), MAX_FIELDS)], line
+    return kind, list(zip(*values, strict=True))[: min(max(count, 0), _MAX_FIELDS)], line
 
 
 def _zmx_list(path: Path, head: _Block, keyword: str, older: str = "") -> list[float]:
-    """Return `MAX_FIELDS` numbers of a list in the head; 0 behind its end."""
+    """Return `_MAX_FIELDS` numbers of a list in the head; 0 behind its end."""
     line = head.first(keyword) or (head.first(older) if older else None)
-    values = [0.0] * MAX_FIELDS
+    values = [0.0] * _MAX_FIELDS
     if line:
-        for index in range(min(len(line.words), MAX_FIELDS)):
+        for index in range(min(len(line.words), _MAX_FIELDS)):
             values[index] = _zmx_number(f"'{path}'", line, index)
     return values
 

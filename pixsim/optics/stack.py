@@ -48,7 +48,7 @@ from pixsim.optics.quantities import FNumberOrPinhole
 MIN_LENS_HEIGHT = 1 / math.sqrt(math.pi)
 # Semi-axis in direction cosines; a pupil below is one direction, since its boundary would be all
 # rounding
-MIN_SEMI_AXIS = 1e-8
+_MIN_SEMI_AXIS = 1e-8
 _BARE_NODES = 24, 48  # rings and spokes of a pupil behind a bare opening, for its aperture
 _TABLE_STEPS = 64  # of the width of a spot
 MAX_PHASE_RAD = 400.0  # of the phase over a pupil, radians: 40 µm at f/0.5; 7e4 rays
@@ -364,7 +364,7 @@ POINTS = 256  # of the sensor at a time, for memory
 def _shares_of_pupil(stack: Stack, pupil: Pupil) -> Array:
     """Return the geometric shares of pupils (...), (..., 5, 5)."""
     chief = pupil.chief_cosines
-    if pupil.widest < MIN_SEMI_AXIS:
+    if pupil.widest < _MIN_SEMI_AXIS:
         return _shares_of_rays(
             stack, Directions(chief[..., None, :], np.ones((*chief.shape[:-1], 1)), chief)
         )

@@ -97,8 +97,8 @@ from pixsim.viewer.setting import Run, stage_words
 
 _JSON_FILE = "compare.json"
 _SCORES = "scores"
-FIGURE_WIDTH_IN = 6.0
-FIGURE_BORDER_IN = 0.8
+_FIGURE_WIDTH_IN = 6.0
+_FIGURE_BORDER_IN = 0.8
 ROW_IN = 0.4
 
 
@@ -404,7 +404,7 @@ def _scores_plate(result: Comparison) -> Drawing:
         for other in result.names[1:]:
             pairs[", ".join(filter(None, (case.case.words, other)))] = case.pairs(other, metric)
 
-    drawing = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(pairs))
+    drawing = new_figure(_FIGURE_WIDTH_IN, _FIGURE_BORDER_IN + ROW_IN * len(pairs))
     axes = drawing.add_subplot()
     draw_differences(axes, list(pairs.values()), list(pairs))
     label = "mean ΔE" if metric.is_delta_e else metric.title

@@ -48,8 +48,8 @@ FIGURES = (
 )
 FILES = ("report.html", "summary.json", *figure_files(FIGURES))
 
-ANGLE = "field angle (degrees)"
-HEIGHT = "image height (mm)"
+_ANGLE = "field angle (degrees)"
+_HEIGHT = "image height (mm)"
 GLASS: dict[str, Any] = {"facecolor": "#dfe9f2", "edgecolor": "0.35", "lw": 0.9}
 
 
@@ -239,7 +239,7 @@ def _mtf_over_field(data: LensData) -> Drawing:
     lines = _mtf_lines(table, "image_height_mm", curves)
     return draw_panels(
         table,
-        [LinePanel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})],
+        [LinePanel(_HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})],
         legend_columns=len(curves),
     )
 
@@ -247,18 +247,18 @@ def _mtf_over_field(data: LensData) -> Drawing:
 CURVES = {
     "field_curvature": (
         LinePanel(
-            ANGLE,
+            _ANGLE,
             "focus behind the image plane (mm)",
             (
                 Line("field_deg", "tangential_focus_mm", "tangential", MARKED_LINE),
                 Line("field_deg", "sagittal_focus_mm", "sagittal", MARKED_LINE),
             ),
         ),
-        LinePanel(ANGLE, "distortion (%)", (Line("field_deg", "distortion_percent"),)),
+        LinePanel(_ANGLE, "distortion (%)", (Line("field_deg", "distortion_percent"),)),
     ),
     "illumination": (
         LinePanel(
-            HEIGHT,
+            _HEIGHT,
             "relative illumination",
             (
                 Line("image_height_mm", "relative_illumination", "traced", MARKED_LINE),
@@ -267,11 +267,11 @@ CURVES = {
             axes={"ylim": (0, 1.05)},
         ),
         LinePanel(
-            HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)
+            _HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)
         ),
     ),
     "colour": (
-        LinePanel(ANGLE, "lateral colour (µm)", (Line("field_deg", "lateral_colour_um"),)),
+        LinePanel(_ANGLE, "lateral colour (µm)", (Line("field_deg", "lateral_colour_um"),)),
         LinePanel(
             "wavelength (nm)",
             "shift of the paraxial focus (µm)",

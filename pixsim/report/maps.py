@@ -56,8 +56,8 @@ _PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
 SHORT = 36
-SHORT_AXIS = 32
-SHORT_TICK = 16
+_SHORT_AXIS = 32
+_SHORT_TICK = 16
 # of a value, for the colours of a map: rounding errors would look like changes
 _MIN_COLOUR_SPAN = 0.02
 _DODGE_PT = 3.0  # between lines, whose bars would hide each other
@@ -138,7 +138,7 @@ class Scale:
         """Set an axis of a figure, with labels for about that many characters beside or above one
         another.
         """
-        name = self.name if len(self.name) <= SHORT_AXIS else self.name[: SHORT_AXIS - 1] + "…"
+        name = self.name if len(self.name) <= _SHORT_AXIS else self.name[: _SHORT_AXIS - 1] + "…"
         label = f"{name} ({self.unit})" if self.unit else name
         settings = {
             "scale": "log" if self.log else "linear",
@@ -153,7 +153,7 @@ class Scale:
 
     def _draw_ticks(self, axis: XAxis | YAxis, characters: int) -> None:
         """Label the values; of very many, every second one or fewer."""
-        texts = [short(text, SHORT_TICK) for text in self.texts]
+        texts = [short(text, _SHORT_TICK) for text in self.texts]
         is_tilted = axis.axis_name == "x" and sum(len(text) + 2 for text in texts) > characters
         max_labels = characters // 4 if is_tilted or axis.axis_name == "y" else len(texts)
         step = -(-len(texts) // max_labels)
@@ -792,7 +792,7 @@ def _draw_bar(axes: Axes, place: int, group: Group, name: str) -> None:
     # The values of the first and the last curve stand on the left and right of their points.
     for curve, offset_pt in zip(curves[:1] + curves[1:][-1:], (-13, 7), strict=False):
         value = curve.at[name]
-        text = short(value, SHORT_TICK) if isinstance(value, str) else f"{value:.4g}"
+        text = short(value, _SHORT_TICK) if isinstance(value, str) else f"{value:.4g}"
         at = curve.optimum.pitch_um, place
         axes.annotate(
             text, at, (0, offset_pt), textcoords="offset points", fontsize=CELL_PT, ha="center"

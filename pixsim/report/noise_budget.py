@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
 
 NAME = "noise_budget"  # of the figure
-REMAINDER = "remainder"
+_REMAINDER = "remainder"
 RENDER = "render"
-ALL_CAUSES = "all causes"
+_ALL_CAUSES = "all causes"
 MEASURED = "measured"
 _ORDER = (
     "Each cause is switched off in the order of the table, and stays off. Variances add; parts of"
     " the mean ΔE depend on the order."
 )
 _MAX_SIZES = 6  # pixels in one figure
-BAR_IN = 0.28
-MARGIN_IN = 1.1
+_BAR_IN = 0.28
+_MARGIN_IN = 1.1
 LEGEND_IN = 0.5
 
 
@@ -44,8 +44,8 @@ def _budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
     }
     return causes | {
         RENDER: (budget.render_e, undefined),
-        REMAINDER: (undefined, budget.remainder_delta_e),
-        ALL_CAUSES: (budget.total_e, budget.mean_delta_e),
+        _REMAINDER: (undefined, budget.remainder_delta_e),
+        _ALL_CAUSES: (budget.total_e, budget.mean_delta_e),
         MEASURED: (budget.measured_e, budget.mean_delta_e),
     }
 
@@ -57,7 +57,7 @@ def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     rows: list[dict[str, float | str | None]] = []
     for label, budget in budgets.items():
         for cause, (noise_e, delta_e) in _budget_numbers(budget).items():
-            part = budget.part_of(cause) if cause in budget.delta_e or cause == REMAINDER else ""
+            part = budget.part_of(cause) if cause in budget.delta_e or cause == _REMAINDER else ""
             rows.append(
                 {
                     "pixel": label,
@@ -77,7 +77,7 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     kinds = {
         cause: budget.part_of(cause)
         for budget in budgets.values()
-        for cause in (*budget.delta_e, REMAINDER)
+        for cause in (*budget.delta_e, _REMAINDER)
     }
     numbers = [_budget_numbers(budget) for budget in budgets.values()]
     undefined = float("nan"), float("nan")
@@ -98,7 +98,7 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
             sums = [(float("nan"), budget.parts[kind]) for budget in budgets.values()]
             add_row(f"{kind}, together", *sums)
 
-    for cause in (ALL_CAUSES, MEASURED, RENDER):
+    for cause in (_ALL_CAUSES, MEASURED, RENDER):
         if any(budget_values[cause][0] for budget_values in numbers):
             add_row(cause, *(budget_values[cause] for budget_values in numbers))
 
@@ -123,7 +123,7 @@ def _budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     causes = list(
         dict.fromkeys(cause for budget in drawn_budgets.values() for cause in budget.delta_e)
     )
-    height_in = MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (count > 1)
+    height_in = _MARGIN_IN + _BAR_IN * len(causes) + LEGEND_IN * (count > 1)
     figure = new_figure(8.6, height_in)
     panels = figure.subplots(1, 2, sharey=True)
 

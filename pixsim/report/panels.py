@@ -19,13 +19,13 @@ TICKS = 10  # at most, along the whole width
 # Beside the axes and between them there is room for the labels of six characters, such as -0.025,
 # and the name of the axis.
 _MARGINS_IN = {"left_in": 0.85, "right_in": 0.2, "top_in": 0.28}
-BOTTOM_IN = 0.5
-BETWEEN_IN = 0.9
+_BOTTOM_IN = 0.5
+_BETWEEN_IN = 0.9
 LEGEND_IN, ROW_IN = 0.35, 0.2  # height of a legend of one row, and of another row
 _HEIGHT_IN = 4.0
 # For panels that share their scales: labels at their ends do not meet
-BETWEEN_SHARED_IN = 0.4
-TICKS_SHARED = 4
+_BETWEEN_SHARED_IN = 0.4
+_TICKS_SHARED = 4
 _MARKED = 8  # markers along a line of many points, which identify it in greyscale
 
 _NO_KEYWORDS: Mapping[str, Any] = {}
@@ -75,10 +75,10 @@ def panels_of(
     """
     figure = new_figure(WIDTH_IN, height_in)
     row = figure.subplots(1, count, squeeze=False, sharex=shared, sharey=shared)[0]
-    between_in = BETWEEN_SHARED_IN if shared else BETWEEN_IN
-    fix_margins(figure, bottom_in=BOTTOM_IN + legend_in, between_in=between_in, **_MARGINS_IN)
+    between_in = _BETWEEN_SHARED_IN if shared else _BETWEEN_IN
+    fix_margins(figure, bottom_in=_BOTTOM_IN + legend_in, between_in=between_in, **_MARGINS_IN)
     for axes in row:
-        axes.locator_params(nbins=TICKS_SHARED if shared else TICKS // count)
+        axes.locator_params(nbins=_TICKS_SHARED if shared else TICKS // count)
     return figure, list(row)
 
 

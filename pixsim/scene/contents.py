@@ -485,15 +485,15 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
                 fresnel = _metal_reflectances(state, node, variant, surfaces.span)
             except PixsimError as error:
                 # Mitsuba names no element in a description that pixsim makes.
-                raise PixsimError(f"the index of {node_words(node)}: {error}") from None
+                raise PixsimError(f"the index of {_node_words(node)}: {error}") from None
             if surfaces.span != VISIBLE:
-                surfaces.ending.append(f"the metal of {node_words(node)}")
+                surfaces.ending.append(f"the metal of {_node_words(node)}")
         spectra += fresnel
 
         for name in SPECTRA[plugin]:
             if name not in node:
                 continue
-            words = f"{name} of {node_words(node)}"
+            words = f"{name} of {_node_words(node)}"
             colours = _property(state, index, name, variant, surfaces, words)
             spectra += colours
             if plugin in INSIDE:
@@ -550,7 +550,7 @@ def _metal_reflectances(state: Tree, node: Node, variant: str, span: Span) -> li
         if name in textures:
             texture = state.nodes[textures[name]]
             if texture.plugin not in ("uniform", "regular", "irregular"):
-                raise _UnknownError(f"an unknown refractive index of {node_words(node)}")
+                raise _UnknownError(f"an unknown refractive index of {_node_words(node)}")
             description[name] = {"type": texture.plugin, **dict(plain(texture))}
         elif name in node:
             value = node[name]
@@ -802,7 +802,7 @@ def check_shares(state: Tree) -> None:
         for name in node:
             if _is_share(node, name):
                 highest = max(_numbers_of(state, node, name), default=0.0)
-                check_share(highest, f"{node.plugin}.{name}", f"bsdf {node_words(node)}")
+                check_share(highest, f"{node.plugin}.{name}", f"bsdf {_node_words(node)}")
 
 
 def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
@@ -827,7 +827,7 @@ def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
     return []
 
 
-def node_words(node: Node) -> str:
+def _node_words(node: Node) -> str:
     """Return the id of a node that has one, or its plugin, for messages."""
     return f"'{node.id}'" if node.id and not node.id.startswith("_") else f"a {node.plugin}"
 

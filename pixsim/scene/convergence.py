@@ -39,14 +39,14 @@ RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
 MAX_RUNS = 1 << 12
 MAX_SPP = 1024  # samples per film cell of one render
 PAIR = 2
-PAIRS_A_LEVEL = 2
+_PAIRS_A_LEVEL = 2
 # With a time limit: a picture of a quarter of the samples comes sooner, and more are added to it.
 _FIRST_LEVEL = -1
 # times the samples of the first pair: what a render is expected to take before its noise is known
 UNKNOWN = 8.0
 # Of a time limit and beyond it, for the first pair, without which there is no picture.
-GRACE = 0.5
-GRACE_S = 1.5
+_GRACE = 0.5
+_GRACE_S = 1.5
 _EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
 
@@ -124,7 +124,7 @@ def render_until(
     begun_s = time.monotonic()
     ends_at_s = None
     if max_seconds is not None:
-        ends_at_s = begun_s + (1 + GRACE) * max_seconds + GRACE_S
+        ends_at_s = begun_s + (1 + _GRACE) * max_seconds + _GRACE_S
     renderer = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
     _ = renderer.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.samples.exact:
@@ -244,7 +244,7 @@ def _needs_more_samples(
     """
     is_far = noise.excess**2 > LEVEL_FACTOR / 2
     may_grow = spp < MAX_SPP and spp * LEVEL_FACTOR <= samples_left
-    return is_far and may_grow and pairs_at_level >= PAIRS_A_LEVEL
+    return is_far and may_grow and pairs_at_level >= _PAIRS_A_LEVEL
 
 
 def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _EndedBy | None:

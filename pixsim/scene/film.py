@@ -26,8 +26,8 @@ MAX_BYTES = 2 << 30
 CHART_SAMPLES = 1 << 27
 PATH_SAMPLES = 20_000_000
 # Float64 light, its transforms and integrals; each pulse in two halves and the result.
-BYTES_PER_CELL = 48
-BYTES_PER_VALUE = 24
+_BYTES_PER_CELL = 48
+_BYTES_PER_VALUE = 24
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
 _STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
@@ -74,7 +74,7 @@ def film_bytes(cells: float, planes: int) -> float:
     """Return the memory and disk that a film takes, estimated from its cells and its pictures
     (bands or pulses).
     """
-    return PROGRAM_BYTES + cells * (BYTES_PER_CELL + BYTES_PER_VALUE * planes)
+    return PROGRAM_BYTES + cells * (_BYTES_PER_CELL + _BYTES_PER_VALUE * planes)
 
 
 def film_memory_bytes(cells: float, planes: int) -> float:
@@ -95,7 +95,7 @@ def largest_film(height_over_width: float, planes: int, cells_in_time: float = m
     cells_in_time : of a film that the limit of samples allows
     """
     cells = min(
-        (MAX_BYTES - PROGRAM_BYTES) / (BYTES_PER_CELL + BYTES_PER_VALUE * planes), cells_in_time
+        (MAX_BYTES - PROGRAM_BYTES) / (_BYTES_PER_CELL + _BYTES_PER_VALUE * planes), cells_in_time
     )
     return min(MAX_ACROSS, math.isqrt(int(cells / height_over_width)) // BLOCK * BLOCK)
 

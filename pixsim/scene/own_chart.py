@@ -32,8 +32,8 @@ ALLOWED = "an 8- or 16-bit PNG, JPEG, TIFF, Radiance HDR or EXR picture, grey or
 _LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # of linear sRGB (Rec. ITU-R BT.709-6)
 GREY = 0.18  # of white: the border, as a photographer's grey card
 _MAX_TEXELS = 1 << 27  # with the border: 512 MiB
-GREY_MODES = ("1", "L", "P", "RGB", "CMYK", "YCbCr")
-SIXTEEN_BIT_MODES = ("I;16", "I;16B", "I;16L", "I")
+_GREY_MODES = ("1", "L", "P", "RGB", "CMYK", "YCbCr")
+_SIXTEEN_BIT_MODES = ("I;16", "I;16B", "I;16L", "I")
 _ALPHA_MODES = ("LA", "PA", "RGBA", "La", "RGBa")
 
 
@@ -195,9 +195,9 @@ def _codes_of_image(path: Path, image: Image.Image) -> tuple[Array, bool]:
     """Return the values of an open picture, in [0, 1], and whether bits of it are lost."""
     from PIL import ImageOps
 
-    if image.mode in SIXTEEN_BIT_MODES:
+    if image.mode in _SIXTEEN_BIT_MODES:
         return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535, False
-    if image.mode not in (*GREY_MODES, *_ALPHA_MODES):
+    if image.mode not in (*_GREY_MODES, *_ALPHA_MODES):
         raise invalid(f"chart picture '{path}'", f"values of mode {image.mode}", ALLOWED)
     # Pillow cuts a PNG of 16 bits in colour to 8 bits.
     if image.format == "PNG" and _png_depth(path) == 16:

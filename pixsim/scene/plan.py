@@ -63,7 +63,7 @@ STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction
 # (rules.py).
 BANDS_SHARE = 0.25
-SPECTRUM_SHARE = 0.8
+_SPECTRUM_SHARE = 0.8
 _LUMINANCE_TOLERANCE = 5.0  # times the tolerance, for luminance of strongly coloured surfaces
 _COLOUR_TOLERANCE = 2.0  # times the tolerance, for a channel of a colour sensor
 _MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
@@ -660,7 +660,7 @@ def _decide_light(
                 bands,
                 products,
                 detectors,
-                tolerance=tolerance_e * SPECTRUM_SHARE,
+                tolerance=tolerance_e * _SPECTRUM_SHARE,
                 stiffness=stiffness,
             )
         lights.append(_FittedLamp(lamp, fit or every_band))

@@ -47,16 +47,16 @@ from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 
 CHART = "chart"
-CHART_LINEAR = "chart_linear"
-TARGET_FILE = "target.exr"
-BEYOND_TABLES = "beyond_tables"
+_CHART_LINEAR = "chart_linear"
+_TARGET_FILE = "target.exr"
+_BEYOND_TABLES = "beyond_tables"
 # Parameters that only pixsim reads, of the packaged charts that have some.
 _PARAMETERS_OF_CHARTS = {
     "csf.exr": (charts.MAX_LP_PER_MM,),
-    TARGET_FILE: tuple(Target.model_fields),
+    _TARGET_FILE: tuple(Target.model_fields),
 }
-CHART_HALF_WIDTH = "chart_half_width"
-CHART_HALF_HEIGHT = "chart_half_height"
+_CHART_HALF_WIDTH = "chart_half_width"
+_CHART_HALF_HEIGHT = "chart_half_height"
 _ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 _ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
 _LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
@@ -209,7 +209,7 @@ class Scene:
                 values[name] = repr(length)
         if self.own_chart:
             # Where the chart follows the height of the die, the picture's border does so too.
-            follows_height = CHART_HALF_HEIGHT in self.names
+            follows_height = _CHART_HALF_HEIGHT in self.names
             height_mm = film_camera.height_mm if follows_height else film_camera.die_mm
             picture = self.own_chart.texture(film_camera.die_mm / height_mm, warn=True)
             values[CHART] = str(picture)
@@ -222,8 +222,8 @@ class Scene:
     def _csf_file(self, camera: Camera) -> Path:
         """Return the texture of its CSF chart, which ends at the frequency of its parameter."""
         width_mm = camera.die_mm
-        if CHART_HALF_WIDTH in self.parameters:
-            width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
+        if _CHART_HALF_WIDTH in self.parameters:
+            width_mm *= float(self.parameters[_CHART_HALF_WIDTH]) / camera.chart_half_width_m
         return charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm)
 
     def _target_file(
@@ -239,7 +239,7 @@ class Scene:
         # Sides of the chart in texels and in mm, height first
         texels = []
         sides_mm = []
-        for cells, name in zip(film, (CHART_HALF_HEIGHT, CHART_HALF_WIDTH), strict=True):
+        for cells, name in zip(film, (_CHART_HALF_HEIGHT, _CHART_HALF_WIDTH), strict=True):
             half_m = float(self.parameters.get(name, fitting[name]))
             count = round(cells * half_m / fitting[name])
             texels.append(min(max(count, 1), _ALLOWED_RESOLUTION[1]))
@@ -269,7 +269,7 @@ class Scene:
             raise invalid(
                 "target",
                 f"the chart of '{self.path.name}', which is another",
-                f"a scene whose chart is {TARGET_FILE}",
+                f"a scene whose chart is {_TARGET_FILE}",
             )
         return Target.from_parameters(self.parameters, self.text().defaults)
 
@@ -306,8 +306,8 @@ class Scene:
         files = {
             name: Path(value).name for name, value in self.parameters.items() if os.sep in value
         }
-        linear = {CHART_LINEAR: "1"} if self.own_chart and self.own_chart.linear else {}
-        beyond = {BEYOND_TABLES: self.beyond_tables} if self.beyond_tables else {}
+        linear = {_CHART_LINEAR: "1"} if self.own_chart and self.own_chart.linear else {}
+        beyond = {_BEYOND_TABLES: self.beyond_tables} if self.beyond_tables else {}
         return self.parameters | files | linear | beyond
 
     @property
@@ -424,8 +424,8 @@ def load_scene(
         name: parameters.pop(name, None)
         for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)
     }
-    linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
-    beyond = _beyond(parameters.pop(BEYOND_TABLES, None))
+    linear = _flag(_CHART_LINEAR, parameters.pop(_CHART_LINEAR, False))
+    beyond = _beyond(parameters.pop(_BEYOND_TABLES, None))
     values = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, values)
     text = open_scene(path, values)
@@ -452,7 +452,7 @@ def load_scene(
         shows_csf=packaged_chart == "csf.exr",
         _texts={_key_of_text(values): text} if picture is None and path == path.resolve() else {},
     )
-    if packaged_chart == TARGET_FILE:
+    if packaged_chart == _TARGET_FILE:
         loaded = _with_target(loaded)
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
     loaded = _with_white_lamps(loaded, text, special[WHITE_LAMPS])
@@ -525,7 +525,7 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
         ILLUMINANCE: {EMITTER_SCALE, ILLUMINANCE},
         WHITE: {WHITE},
         WHITE_LAMPS: {WHITE_LAMPS},
-        CHART_LINEAR: {CHART},
+        _CHART_LINEAR: {CHART},
     }
     stated = text.names | text.defaults.keys()
     allowed = text.names | {name for name, others in needed.items() if others & stated}
@@ -570,7 +570,7 @@ def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear:
         name = scene.parameters.get(CHART, "")
         chart = f"with the chart '{Path(name).name}'" if name else "without a chart"
         raise invalid(
-            CHART_LINEAR,
+            _CHART_LINEAR,
             f"1 (--linear) {chart}",
             "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already",
         )
@@ -581,12 +581,12 @@ def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear:
 
 def _with_target(scene: Scene) -> Scene:
     """Return the scene with the target of its parameters as its chart."""
-    if absent := {CHART_HALF_WIDTH, CHART_HALF_HEIGHT} - scene.names:
+    if absent := {_CHART_HALF_WIDTH, _CHART_HALF_HEIGHT} - scene.names:
         got = f"'{scene.path.name}' without the parameter {min(absent)}"
         raise invalid(
             "target",
             got,
-            f"a chart plane scaled by ${CHART_HALF_WIDTH} and ${CHART_HALF_HEIGHT}, whose size is"
+            f"a chart plane scaled by ${_CHART_HALF_WIDTH} and ${_CHART_HALF_HEIGHT}, whose size is"
             " known",
         )
     with_target = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
@@ -597,7 +597,7 @@ def _with_target(scene: Scene) -> Scene:
 def _beyond(value: object) -> Beyond | None:
     if value is None or value == "hold" or value == "zero":
         return value
-    raise invalid(f"scene.{BEYOND_TABLES}", value_text(value), "'hold' or 'zero'")
+    raise invalid(f"scene.{_BEYOND_TABLES}", value_text(value), "'hold' or 'zero'")
 
 
 def _flag(name: str, value: object) -> bool:

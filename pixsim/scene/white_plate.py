@@ -22,7 +22,7 @@ from pixsim.scene.tree import Node, Tree, nodes_of
 # plane does not cover it; half of its side, so that surfaces at up to 60° behind it do not cut it;
 # and half of what is seen of it.
 BEFORE = 2e-3
-HALF_SIDE = 1e-3
+_HALF_SIDE = 1e-3
 HALF_VIEW = 5e-4
 STEPS = 1000  # along the axis, at which an object may begin
 _SOLID = "sphere", "cube", "cylinder"
@@ -61,7 +61,7 @@ def plate_transform(sensor: Node, distance_m: float, focus_m: float) -> tuple[fl
     front faces the lens.
     """
     # The front of a rectangle is at its +z, and a camera looks along its own.
-    side_m = HALF_SIDE * focus_m
+    side_m = _HALF_SIDE * focus_m
     plate = np.diag([-side_m, side_m, -side_m, 1.0])
     plate[2, 3] = distance_m
     return tuple((transform_matrix(sensor) @ plate).ravel().tolist())

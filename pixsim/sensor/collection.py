@@ -43,17 +43,17 @@ from pixsim.sensor.pixel import USUAL_F_NUMBER, Charge, PixelPhysics
 # Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400
 # to 1000 nm. The absorption of silicon, by a factor of 100 over that range, needs more: then .001.
 WAVELENGTHS = 4
-WAVELENGTHS_DIFFUSED = 6
+_WAVELENGTHS_DIFFUSED = 6
 # Points of the field from the centre to an edge. Under an optimal shift shares hardly change;
 # unshifted, they fall steeply.
-POINTS_SHIFTED = 4
-POINTS_UNSHIFTED = 6
+_POINTS_SHIFTED = 4
+_POINTS_UNSHIFTED = 6
 # where a table of chief ray angles bends at its rows: a share is within .002, of ten rows at f/2
 _POINTS_OF_TABLE = 10
 # neighbours' shares that are smaller everywhere are left to the pixel, since each takes as long as
 # a large one
 NEGLIGIBLE = 1e-5
-FIELD_STEPS = 64  # steps across the field, between which shares are linear
+_FIELD_STEPS = 64  # steps across the field, between which shares are linear
 # Where a quantum efficiency is checked against the shares of its measurement.
 _CHECKED_NM = np.arange(400.0, 701.0, 50.0)
 
@@ -335,7 +335,7 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
         return []
     y_um, x_um = camera.die_um
     # From the centre to the corner, since a table's largest angle need not be there.
-    radius = np.linspace(0.0, 0.5, FIELD_STEPS + 1)
+    radius = np.linspace(0.0, 0.5, _FIELD_STEPS + 1)
     pupil = camera_pupil(camera).at(x_um * radius, y_um * radius)
     limits = model_limits(physics.stack, pupil, _responsive_nm(physics, wavelength_nm))
     return [Note("stack_model", pitch_um=physics.pitch_um, words=text) for text in limits]
@@ -355,7 +355,7 @@ def _collection(
     half_um : from the axis to the centres of the outermost pixels, down and across
     """
     diffuses = charge is not None and charge.diffusion_um is not None
-    nm, weight = light.nodes(WAVELENGTHS_DIFFUSED if diffuses else WAVELENGTHS)
+    nm, weight = light.nodes(_WAVELENGTHS_DIFFUSED if diffuses else WAVELENGTHS)
     if measured is not None:
         weight = weight / _measured_share(measured, charge, nm)
     is_symmetric, node, y_um, x_um = _field_points(stack, light.pupil, half_um)
@@ -392,7 +392,7 @@ def _field_points(
     computed: the nodes from -1 to 1, y and x.
     """
     is_symmetric = stack.shift_um in ("optimal", (0.0, 0.0))
-    points = POINTS_SHIFTED if stack.shift_um == "optimal" else POINTS_UNSHIFTED
+    points = _POINTS_SHIFTED if stack.shift_um == "optimal" else _POINTS_UNSHIFTED
     if pupil.chief_ray_angle is not None:
         points = _POINTS_OF_TABLE
 
@@ -430,8 +430,8 @@ def _scale_error(
 
 @lru_cache(maxsize=4)
 def _resampling_matrix(nodes: tuple[float, ...]) -> Array:
-    """Return `_interpolation_matrix` at `FIELD_STEPS` equal steps from -1 to 1, (FINE + 1, n)."""
-    return _interpolation_matrix(np.array(nodes), np.linspace(-1.0, 1.0, FIELD_STEPS + 1))
+    """Return `_interpolation_matrix` at `_FIELD_STEPS` equal steps from -1 to 1, (FINE + 1, n)."""
+    return _interpolation_matrix(np.array(nodes), np.linspace(-1.0, 1.0, _FIELD_STEPS + 1))
 
 
 def _interpolation_matrix(nodes: Array, positions: Array) -> Array:

@@ -27,7 +27,7 @@ from pixsim.sensor.camera_data import camera_channels, camera_sensitivities
 from pixsim.sensor.colour_options import ColourOptions, channels_of, is_cell
 from pixsim.sensor.pixel_options import PixelOptions
 
-STACK_MARK = "+"
+_STACK_MARK = "+"
 ROW_MARK = "/"
 Values = TypeVar("Values", np.float64, np.bool_)
 
@@ -63,10 +63,10 @@ class Layout:
         """Return the layout of a text as `str` gives it, RG/GB for a mosaic, R+G+B for planes.
         ValueError for another text.
         """
-        is_stacked = STACK_MARK in text
+        is_stacked = _STACK_MARK in text
         cell = tuple(text.split(ROW_MARK))
         if is_stacked:
-            cell = ("".join(text.split(STACK_MARK)),)
+            cell = ("".join(text.split(_STACK_MARK)),)
         layout = cls(cell, is_stacked)
         if not is_cell(cell) or str(layout) != text:
             raise ValueError(
@@ -75,7 +75,7 @@ class Layout:
         return layout
 
     def __str__(self) -> str:
-        return STACK_MARK.join(self.cell[0]) if self.is_stacked else ROW_MARK.join(self.cell)
+        return _STACK_MARK.join(self.cell[0]) if self.is_stacked else ROW_MARK.join(self.cell)
 
     @property
     def channels(self) -> tuple[str, ...]:

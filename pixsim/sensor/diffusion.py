@@ -30,8 +30,8 @@ SILICON_K = 300.0  # of the table of absorption
 OFFSETS = np.arange(-2.0, 3.0)  # of the pixels that collect charge, in pixels
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
 # Walks √τ, over the shorter of 1/α and L_n, and over L_n: 1e-7 and e^-42 are left out.
-MIN_WALK = 1e-7
-MAX_WALK = 6.5
+_MIN_WALK = 1e-7
+_MAX_WALK = 6.5
 
 
 ABSORPTION_RANGE_NM = (300.0, 1200.0)  # of the table
@@ -140,8 +140,8 @@ def diffused_shares(
     Raises PixsimError as `diffusion_mtf` does.
     """
     alpha = np.asarray(absorption_per_um, float)[..., None]
-    low = np.log(MIN_WALK * np.minimum(1 / alpha, diffusion_length_um))
-    high = math.log(MAX_WALK * diffusion_length_um)
+    low = np.log(_MIN_WALK * np.minimum(1 / alpha, diffusion_length_um))
+    high = math.log(_MAX_WALK * diffusion_length_um)
     walk = np.exp(low + (high - low) * (1 + NODES) / 2)  # √τ
     steep = alpha * walk
     # 2/√π - 2x erfcx(x), by its expansion where the difference cancels

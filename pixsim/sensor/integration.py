@@ -57,8 +57,8 @@ STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core
 # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its
 # dark side
 _EDGE_CONTRAST = 100.0
-RING = 0.1  # of a step: the light that it moves within the cell beside it
-RING_DECAY = 0.43  # of that light, in the next cell, and so on
+_RING = 0.1  # of a step: the light that it moves within the cell beside it
+_RING_DECAY = 0.43  # of that light, in the next cell, and so on
 # Of the light of a cell; a photodiode on a small part of it sees up to ten times of that.
 _RING_TOLERANCE = 1e-5
 _RING_CELLS = 64  # after which a ring is 1e-24 of its step
@@ -261,7 +261,7 @@ def ringing_cells(samples: Array) -> NDArray[np.bool_]:
     """Return in which cells (n, columns) the spline of a column rings by more than
     `_RING_TOLERANCE` of the light there.
 
-    The ring of a hard edge goes with its height and falls by `RING_DECAY` from cell to cell, so
+    The ring of a hard edge goes with its height and falls by `_RING_DECAY` from cell to cell, so
     edges far away, or in another column, have no part in it. Light that is further below zero than
     it would ring is meant, as in a difference of two pictures.
     """
@@ -270,14 +270,14 @@ def ringing_cells(samples: Array) -> NDArray[np.bool_]:
         return np.zeros(samples.shape, bool)
 
     # The ring in the two cells beside each edge.
-    height = RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0)
+    height = _RING * np.where(hard, np.abs(np.diff(samples, axis=0)), 0.0)
     ring = np.zeros(samples.shape)
     ring[:-1] = height
     np.maximum(ring[1:], height, out=ring[1:])
 
     # It goes on to both sides: steps of 1, 2, 4, … together make every distance.
     distance = 1
-    decay = RING_DECAY
+    decay = _RING_DECAY
     while distance < min(len(samples), _RING_CELLS):
         onwards = decay * ring[:-distance]
         np.maximum(ring[:-distance], decay * ring[distance:], out=ring[:-distance])

@@ -114,7 +114,7 @@ SOURCES = (
 )
 
 
-def selected_sources(
+def _selected_sources(
     readout: _NoisyReadout, is_temporal: bool | None, along: Along | None
 ) -> list[NoiseSource]:
     """Return the sources of a readout, all of them or a selection.
@@ -136,7 +136,7 @@ def constant_e(
     """Return the standard deviation of all sources together that grow neither with light nor with
     dark charge, in electrons.
 
-    is_temporal, along : select sources, as in `selected_sources`
+    is_temporal, along : select sources, as in `_selected_sources`
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim.sensor.pixel_options import Pixel
@@ -148,7 +148,7 @@ def constant_e(
     return math.hypot(
         *(
             source.frame_deviation(readout)
-            for source in selected_sources(readout, is_temporal, along)
+            for source in _selected_sources(readout, is_temporal, along)
             if not source.grows_with
         )
     )
@@ -168,10 +168,10 @@ def variance_e2(
 
     variance : to which theirs is added, such as the variance of shot noise
     light_e, dark_e : mean charge of light and of the dark, with which some sources grow
-    is_temporal, along : select sources, as in `selected_sources`
+    is_temporal, along : select sources, as in `_selected_sources`
     """
     charge = {"": 1.0, "light": light_e, "dark": dark_e}
-    for source in selected_sources(readout, is_temporal, along):
+    for source in _selected_sources(readout, is_temporal, along):
         variance = variance + (source.frame_deviation(readout) * charge[source.grows_with]) ** 2
     return variance
 
@@ -181,7 +181,7 @@ def variances_e2(
 ) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
     variances: dict[str, Array | float] = {}
-    for source in selected_sources(readout, None, None):
+    for source in _selected_sources(readout, None, None):
         others = tuple(other.name for other in SOURCES if other is not source)
         alone = readout.with_silent(others)
         variances[source.name] = variance_e2(alone, light_e=light_e, dark_e=dark_e)

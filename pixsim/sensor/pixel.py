@@ -219,9 +219,9 @@ class Diode:
 
 # The `paper` capacitance: fitted to the axis of Fig. 2a of Chen et al. (2000), 35-70 dB, with the
 # swing of 1 V that its authors use.
-PAPER_NODE_FF = 2.6
-PAPER_FF_PER_UM2 = 0.22
-PAPER_SWING_V = 1.0
+_PAPER_NODE_FF = 2.6
+_PAPER_FF_PER_UM2 = 0.22
+_PAPER_SWING_V = 1.0
 # Integration time of Fig. 2 of Chen et al. (2000), which defines the full `diode` well.
 WELL_REFERENCE_S = 0.03
 
@@ -312,8 +312,8 @@ def well(
 
     diode_values = junction.model_dump(exclude={"voltage_swing_v"})
     if pixel.capacitance == "paper":
-        mean_ff = reset_ff = PAPER_NODE_FF + PAPER_FF_PER_UM2 * area_um2
-        swing_v = PAPER_SWING_V
+        mean_ff = reset_ff = _PAPER_NODE_FF + _PAPER_FF_PER_UM2 * area_um2
+        swing_v = _PAPER_SWING_V
         diode_values |= {
             "cj_ff_per_um2": 0.0,
             "cjsw_ff_per_um": 0.0,

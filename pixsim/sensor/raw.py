@@ -57,7 +57,7 @@ _BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES)
 _BITS_OF[".exr"] = 24  # which float32 holds exactly
 BLACK_LEVEL_TAG = 50714
 WHITE_LEVEL_TAG = 50717
-DESCRIPTION_TAG = 270
+_DESCRIPTION_TAG = 270
 _BLACK_DIM_TAG = 50713  # of DNG 1.7: rows and columns of the cell of black levels
 _MAX_CELL = 16  # rows or columns of a cell of black levels
 
@@ -114,16 +114,16 @@ class RawFrame:
 
 # Of mosaics, for other programs: ISO 12234-2 (TIFF/EP), whose codes 0 to 6 are these colours;
 # pixsim writes the first three.
-CFA_DIM_TAG = 33421
-CFA_PATTERN_TAG = 33422
-CFA_COLOURS = "RGBCMYW"
-WRITTEN_COLOURS = "RGB"
+_CFA_DIM_TAG = 33421
+_CFA_PATTERN_TAG = 33422
+_CFA_COLOURS = "RGBCMYW"
+_WRITTEN_COLOURS = "RGB"
 ENCODING = "encoding"  # what a file states about a display's encoding of its values
 # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the
 # other
 LAYOUT = "layout"
 SATURATED = "saturated"
-BLACK_LEVEL = "black_level_dn"
+_BLACK_LEVEL = "black_level_dn"
 FACTS = (
     "black_level_dn",
     "white_level_dn",
@@ -153,8 +153,8 @@ def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
 
     facts = _stated_facts(frame)
     if isinstance(frame, RawFrame):
-        if np.ndim(facts.get(BLACK_LEVEL, 0.0)):
-            facts[BLACK_LEVEL] = _cell_of(facts[BLACK_LEVEL]).tolist()
+        if np.ndim(facts.get(_BLACK_LEVEL, 0.0)):
+            facts[_BLACK_LEVEL] = _cell_of(facts[_BLACK_LEVEL]).tolist()
         return metadata | facts
 
     facts.setdefault("white_level_dn", 2**frame.bits - 1)
@@ -277,8 +277,8 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.TiffTags import BYTE, DOUBLE, LONG, SHORT
 
     tags = ImageFileDirectory_v2()
-    tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **_as_text(facts)}, sort_keys=True)
-    black_level = facts.get(BLACK_LEVEL)
+    tags[_DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **_as_text(facts)}, sort_keys=True)
+    black_level = facts.get(_BLACK_LEVEL)
     if isinstance(black_level, list):
         levels = np.array(black_level)
         tags.tagtype |= {_BLACK_DIM_TAG: SHORT, BLACK_LEVEL_TAG: DOUBLE}
@@ -293,10 +293,10 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
 
     layout = layout_of(facts, dn.shape)
     is_mosaic = layout is not None and not layout.is_stacked
-    if layout is not None and is_mosaic and set(layout.channels) <= set(WRITTEN_COLOURS):
-        tags.tagtype |= {CFA_DIM_TAG: SHORT, CFA_PATTERN_TAG: BYTE}
-        tags[CFA_DIM_TAG] = layout.period
-        tags[CFA_PATTERN_TAG] = bytes(map(CFA_COLOURS.index, "".join(layout.cell)))
+    if layout is not None and is_mosaic and set(layout.channels) <= set(_WRITTEN_COLOURS):
+        tags.tagtype |= {_CFA_DIM_TAG: SHORT, _CFA_PATTERN_TAG: BYTE}
+        tags[_CFA_DIM_TAG] = layout.period
+        tags[_CFA_PATTERN_TAG] = bytes(map(_CFA_COLOURS.index, "".join(layout.cell)))
     with writing(path) as unfinished:
         _picture(dn).save(unfinished, "TIFF", tiffinfo=tags)
 
@@ -334,7 +334,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
             facts[name] = round(value) if name == "bits" else value
     levels = black_levels_of(metadata, dn.shape)
     if levels is not None:
-        facts[BLACK_LEVEL] = levels
+        facts[_BLACK_LEVEL] = levels
 
     return RawFrame(
         dn.astype(np.min_scalar_type(int(dn.max()))),
@@ -359,7 +359,7 @@ def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array |
     """Return the black levels, (rows, columns), of a file that states a cell of them or one for
     each pixel; else None.
     """
-    stated = metadata.get(BLACK_LEVEL)
+    stated = metadata.get(_BLACK_LEVEL)
     with suppress(TypeError, ValueError, RecursionError):
         levels = np.asarray(json.loads(stated) if isinstance(stated, str) else stated, float)
         if levels.ndim == 2 and levels.size and np.isfinite(levels).all():
@@ -545,7 +545,7 @@ def _check_image(image: ImageFile, tags: Mapping[int, Any], subject: str) -> Non
 
     subject : of the message
     """
-    if tags.get(PLANAR, 1) == 2 and len(image.getbands()) > 1:
+    if tags.get(_PLANAR, 1) == 2 and len(image.getbands()) > 1:
         raise invalid(subject, "a plane for each colour", "the colours of a pixel side by side")
 
     is_deep_colour = _is_deep_colour(image)
@@ -569,7 +569,7 @@ def _check_image(image: ImageFile, tags: Mapping[int, Any], subject: str) -> Non
         hint = "Apply them in a raw converter, and save the array as .npz, .npy or .exr."
         raise invalid(subject, got, "a picture without them", hint)
 
-    if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
+    if tags.get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
         got = "values whose 0 is white (WhiteIsZero)"
         hint = "Save it with 0 for black (BlackIsZero)."
         raise invalid(subject, got, "values that grow with the light", hint)
@@ -581,21 +581,21 @@ def _encoding_of(image: ImageFile, tags: Mapping[int, Any]) -> dict[str, str]:
     names = [name for name in ("srgb", "gamma", "icc_profile") if name in image.info]
     if names and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
         encoding[ENCODING] = names[0]
-    steps = np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))
+    steps = np.diff(np.asarray(tags.get(_TRANSFER_FUNCTION, [0, 0]), float))
     if np.ptp(steps) > 1:  # the steps of a straight line differ by rounding
         encoding[ENCODING] = "TransferFunction"
     return encoding
 
 
 # Tags of TIFF 6.0.
-PHOTOMETRIC = 262
-PLANAR = 284
-TRANSFER_FUNCTION = 301
+_PHOTOMETRIC = 262
+_PLANAR = 284
+_TRANSFER_FUNCTION = 301
 # Photometric interpretations, of TIFF/EP and DNG too.
-WHITE_IS_ZERO = 0
-BLACK_IS_ZERO = 1
+_WHITE_IS_ZERO = 0
+_BLACK_IS_ZERO = 1
 MOSAIC = 32803
-LINEAR_RAW = 34892
+_LINEAR_RAW = 34892
 # Tags of DNG that change the digital numbers.
 _NOT_APPLIED = {
     50712: "LinearizationTable",
@@ -611,8 +611,8 @@ def _let_pillow_open_mosaics() -> None:
 
     for key, modes in list(OPEN_INFO.items()):
         order, photometric, sample_format, fill_order, bits, extra = key
-        if photometric == BLACK_IS_ZERO and bits == (16,):
-            for mosaic in (MOSAIC, LINEAR_RAW):
+        if photometric == _BLACK_IS_ZERO and bits == (16,):
+            for mosaic in (MOSAIC, _LINEAR_RAW):
                 OPEN_INFO[order, mosaic, sample_format, fill_order, bits, extra] = modes
 
 
@@ -668,9 +668,9 @@ def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
     """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes
     before DNG and TIFF/EP.
     """
-    stated = _json_of(tags.get(DESCRIPTION_TAG))
+    stated = _json_of(tags.get(_DESCRIPTION_TAG))
     metadata: dict[str, Any] = {}
-    if BLACK_LEVEL_TAG in tags and BLACK_LEVEL not in stated:
+    if BLACK_LEVEL_TAG in tags and _BLACK_LEVEL not in stated:
         cell = _black_levels_of_tags(tags)
         if cell is None:
             words = (
@@ -679,13 +679,13 @@ def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
             )
             warn(Note("file_as_read", words=words))
         else:
-            metadata[BLACK_LEVEL] = cell if cell.size > 1 else float(cell[0, 0])
+            metadata[_BLACK_LEVEL] = cell if cell.size > 1 else float(cell[0, 0])
     white = np.atleast_1d(np.asarray(tags.get(WHITE_LEVEL_TAG, []), float))
     if white.size:
         metadata["white_level_dn"] = float(white.min())  # DNG has one for each sample of a pixel
     with suppress(KeyError, IndexError, TypeError, ValueError):
-        rows, columns = (int(count) for count in tags[CFA_DIM_TAG])
-        letters = "".join(CFA_COLOURS[code] for code in tags[CFA_PATTERN_TAG])
+        rows, columns = (int(count) for count in tags[_CFA_DIM_TAG])
+        letters = "".join(_CFA_COLOURS[code] for code in tags[_CFA_PATTERN_TAG])
         if len(letters) == rows * columns:
             metadata[LAYOUT] = ROW_MARK.join(
                 letters[row * columns : (row + 1) * columns] for row in range(rows)

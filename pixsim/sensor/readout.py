@@ -65,9 +65,9 @@ _POISSON_LIMIT_E = 1e9
 BLACK_SIGMAS = 6.0
 # A level that is farther from both ends of the codes is clipped in 1e-12 of normal signals; few
 # Poisson counts need some electrons more.
-CLIP_SIGMAS = 7.0
+_CLIP_SIGMAS = 7.0
 POISSON_MARGIN_E = 10.0
-MIN_DITHER_DN = 0.6  # noise from which rounding is a noise, too
+_MIN_DITHER_DN = 0.6  # noise from which rounding is a noise, too
 BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
 MAX_BLACK_SHARE = 0.5  # of the codes: a higher black level leaves too few for light
 
@@ -560,17 +560,17 @@ def _never_clips(
 
     def extreme_dn(charge_e: Array, row_e: Array, sign: int) -> Array:
         """Level that a subexposure exceeds by chance as good as never, down (-1) or up (1)."""
-        spread_e = CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + POISSON_MARGIN_E
+        spread_e = _CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + POISSON_MARGIN_E
         return np.asarray(
             p.dn_per_e * (charge_e + offset_e + row_e + sign * spread_e) + p.adc.black_level_dn
         )
 
     above_zero = extreme_dn(darkest_e, row_noise.min(axis=0), -1) > 0
     below_top = extreme_dn(brightest_e, row_noise.max(axis=0), 1) < p.adc.top_code_dn
-    is_dithered = p.dn_per_e * np.sqrt(darkest_e + pixel_sigma_e**2) >= MIN_DITHER_DN
+    is_dithered = p.dn_per_e * np.sqrt(darkest_e + pixel_sigma_e**2) >= _MIN_DITHER_DN
 
     limit_e = saturation_level_e(time_s, p) if responds_linearly(p.physics) else 0.0
-    below_full = brightest_e + CLIP_SIGMAS * np.sqrt(brightest_e) + POISSON_MARGIN_E < limit_e
+    below_full = brightest_e + _CLIP_SIGMAS * np.sqrt(brightest_e) + POISSON_MARGIN_E < limit_e
     return np.asarray(above_zero & below_top & is_dithered & below_full)
 
 

@@ -19,14 +19,14 @@ from pixsim.base.arrays import Array
 
 _SHOT_NODES = 65
 # At least; more if they would be wider apart than the temporal noise.
-GAIN_NODES = 37
-OFFSET_NODES = 19
+_GAIN_NODES = 37
+_OFFSET_NODES = 19
 _MAX_NODES = 1000  # of gain times offset
 _MAX_NODE = 5.0  # σ
 # σ: a clip farther away cuts off less than 1e-15, and is not worth a normal distribution.
 CLIP_REACH = 8.0
-PEAK_RANGE = (0.3, 1.0)  # of the brightest light
-PEAK_POINTS = 15  # light levels that bracket the peak
+_PEAK_RANGE = (0.3, 1.0)  # of the brightest light
+_PEAK_POINTS = 15  # light levels that bracket the peak
 _PEAK_WITHIN = 1e-5  # of the brightest light
 _BRIGHTEST = 1.1  # of the lower clip: the brightest light, up to which the peak is sought
 _MAX_WELL = 4.0  # saturation capacities: end of the search for the full well
@@ -54,13 +54,13 @@ def _node_counts(gain_sigmas: float, offset_sigmas: float) -> tuple[int, int]:
 
     Nodes wider apart than the temporal noise would be seen one by one at the clip.
     """
-    gains = max(min(2 * _MAX_NODE * gain_sigmas, _MAX_NODES), GAIN_NODES)
+    gains = max(min(2 * _MAX_NODE * gain_sigmas, _MAX_NODES), _GAIN_NODES)
     offsets: float = 1
     if offset_sigmas:
-        offsets = max(min(2 * _MAX_NODE * offset_sigmas, _MAX_NODES), OFFSET_NODES)
+        offsets = max(min(2 * _MAX_NODE * offset_sigmas, _MAX_NODES), _OFFSET_NODES)
     share = min(1.0, math.sqrt(_MAX_NODES / (gains * offsets)))
-    gain_count = max(round(share * gains), GAIN_NODES)
-    offset_count = max(round(share * offsets), OFFSET_NODES) if offset_sigmas else 1
+    gain_count = max(round(share * gains), _GAIN_NODES)
+    offset_count = max(round(share * offsets), _OFFSET_NODES) if offset_sigmas else 1
     return gain_count, offset_count
 
 
@@ -125,7 +125,7 @@ def peak_e(variance: Callable[[float], float], brightest_e: float) -> float:
     """
     from scipy.optimize import minimize_scalar  # imported where it is needed: it takes 0.1 s
 
-    coarse_e = np.linspace(*PEAK_RANGE, PEAK_POINTS) * brightest_e
+    coarse_e = np.linspace(*_PEAK_RANGE, _PEAK_POINTS) * brightest_e
     highest = int(np.argmax([variance(signal_e) for signal_e in coarse_e.tolist()]))
     low_e = float(coarse_e[max(highest - 1, 0)])
     high_e = float(coarse_e[min(highest + 1, coarse_e.size - 1)])

@@ -30,12 +30,12 @@ _COLOUR_LEVEL = 3  # of zlib: a third of the default's time for a tenth more byt
 MAP = 560
 LEFT = 110
 TOP = 70
-BOTTOM = 80
+_BOTTOM = 80
 RIGHT = 160
-BAR = 30
-BAR_GAP = 50
-TICK = 7
-GAP = 5
+_BAR = 30
+_BAR_GAP = 50
+_TICK = 7
+_GAP = 5
 LINE = 19  # of text, in px
 BLACK = (0, 0, 0)
 WHITE = (255, 255, 255)
@@ -96,13 +96,13 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
     height, width = (max(1, round(dots * factor)) for dots in delta_e.shape)
     right = LEFT + width
     bottom = TOP + height
-    bar = right + BAR_GAP
+    bar = right + _BAR_GAP
 
-    canvas = Image.new("RGB", (right + RIGHT, bottom + BOTTOM), WHITE)
+    canvas = Image.new("RGB", (right + RIGHT, bottom + _BOTTOM), WHITE)
     map_image = Image.fromarray(delta_e_colours(delta_e, end))
     canvas.paste(map_image.resize((width, height), resampling), (LEFT, TOP))
     ramp = delta_e_colours(np.linspace(end, 0, height)[:, None], end)
-    canvas.paste(Image.fromarray(np.repeat(ramp, BAR, axis=1)), (bar, TOP))
+    canvas.paste(Image.fromarray(np.repeat(ramp, _BAR, axis=1)), (bar, TOP))
 
     draw = ImageDraw.Draw(canvas)
 
@@ -111,25 +111,25 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
 
     mean = estimate(delta_e.mean())
     title = f"S-CIELAB difference from the ideal image, mean {mean}"
-    write(GAP, TOP - 2 * LINE, "ls", title)
-    write(GAP, TOP - 3 * GAP, "ls", where.down.label)
-    write(bar, TOP - 3 * GAP, "ls", "ΔE")
+    write(_GAP, TOP - 2 * LINE, "ls", title)
+    write(_GAP, TOP - 3 * _GAP, "ls", where.down.label)
+    write(bar, TOP - 3 * _GAP, "ls", "ΔE")
     write(LEFT + width / 2, bottom + 2 * LINE, "mt", where.across.label)
 
     # Ticks across, down, and along the colour scale.
     left_mm, right_mm, bottom_mm, top_mm = where.extent_mm
     for at_mm, text in where.across.ticks:
         x = LEFT + (at_mm - left_mm) / (right_mm - left_mm) * width
-        draw.line((x, bottom, x, bottom + TICK), BLACK)
-        write(x, bottom + TICK + GAP, "mt", text)
+        draw.line((x, bottom, x, bottom + _TICK), BLACK)
+        write(x, bottom + _TICK + _GAP, "mt", text)
     for at_mm, text in where.down.ticks:
         y = TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height
-        draw.line((LEFT - 1 - TICK, y, LEFT - 1, y), BLACK)
-        write(LEFT - TICK - GAP, y, "rm", text)
+        draw.line((LEFT - 1 - _TICK, y, LEFT - 1, y), BLACK)
+        write(LEFT - _TICK - _GAP, y, "rm", text)
     for tick_delta_e in np.linspace(0, end, _SCALE_STEPS + 1):
         y = bottom - tick_delta_e / end * height
-        draw.line((bar + BAR, y, bar + BAR + TICK, y), BLACK)
-        write(bar + BAR + TICK + GAP, y, "lm", f"{tick_delta_e:g}")
+        draw.line((bar + _BAR, y, bar + _BAR + _TICK, y), BLACK)
+        write(bar + _BAR + _TICK + _GAP, y, "lm", f"{tick_delta_e:g}")
 
     return png_bytes(np.asarray(canvas))
 
@@ -210,7 +210,7 @@ def smallest_png(codes: NDArray[np.uint8]) -> bytes:
 COLUMNS = 6
 SHEET_MARGIN, SHEET_GAP, SHEET_FRAME = 16, 14, 3  # px
 TITLE = 34
-LABEL_WIDTH = 112
+_LABEL_WIDTH = 112
 MAX_TITLE = 140  # characters
 
 
@@ -246,7 +246,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
     title = one_line(title, MAX_TITLE)
     columns = min(COLUMNS, len(tiles))
     rows = -(-len(tiles) // columns)
-    pitch_x = max(LABEL_WIDTH, *(tile.width for tile in tiles)) + SHEET_GAP
+    pitch_x = max(_LABEL_WIDTH, *(tile.width for tile in tiles)) + SHEET_GAP
     pitch_y = max(tile.height for tile in tiles) + 2 * LINE + SHEET_GAP
     width = max(columns * pitch_x - SHEET_GAP, round(font(16).getlength(title)))
     height = TITLE + rows * pitch_y - SHEET_GAP

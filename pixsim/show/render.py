@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 PAGE = "report.html"
-TEMPLATE = "document.html.j2"
-MACROS = "macros.html.j2"
+_TEMPLATE = "document.html.j2"
+_MACROS = "macros.html.j2"
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 _MAX_UNBROKEN_WORDS = 4  # words of a number and its unit that stay on one line
 _INDENT = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
@@ -139,12 +139,12 @@ def json(document: Document) -> str:
 
 def html(document: Document) -> str:
     """Return the page: one file that loads nothing."""
-    return _environment().get_template(TEMPLATE).render(document=document)
+    return _environment().get_template(_TEMPLATE).render(document=document)
 
 
 def notebook(document: Document) -> str:
     """Return the cell of a notebook, which needs no style sheet and no scripts."""
-    macros: Any = _environment().get_template(MACROS).module
+    macros: Any = _environment().get_template(_MACROS).module
     # A cell has one figure
     lead = (block for block in document.lead if not isinstance(block, Plot))
     return str(macros.cell((*document.answers, *document.plots[:1], *lead, *document.brief)))

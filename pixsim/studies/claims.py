@@ -67,16 +67,16 @@ REFERENCE_TECHNOLOGY = "0.35um"
 _FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
 _FIGURE_2_RANGE_DB = (35.0, 70.0)
 FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
-OPTIMUM_UM = 6.5
-OPTIMUM_FILL_FACTOR = 0.30
+_OPTIMUM_UM = 6.5
+_OPTIMUM_FILL_FACTOR = 0.30
 _TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
 _FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
-FREQUENCY_BINS = 6
-CONTRAST_BINS = 8
+_FREQUENCY_BINS = 6
+_CONTRAST_BINS = 8
 _CONTRAST_SMOOTHING_DOTS = 4.0
 HISTOGRAM_BINS = 1000
-MODE_PROMINENCE = 0.02  # of the density of the highest mode
+_MODE_PROMINENCE = 0.02  # of the density of the highest mode
 Interval = tuple[float | None, float | None]
 UNKNOWN: Interval = (None, None)
 
@@ -187,7 +187,7 @@ class Evidence:
 
 def by_frequency(delta_e: Array) -> Array:
     """Return the means of a CSF map over bins of equal frequency ratio, (rows, bins)."""
-    bins = np.array_split(delta_e, FREQUENCY_BINS, axis=1)
+    bins = np.array_split(delta_e, _FREQUENCY_BINS, axis=1)
     return np.stack([part.mean(axis=1) for part in bins], axis=1)
 
 
@@ -202,7 +202,7 @@ def frequency_places(border: float = 0.0) -> Array:
     """Return the bin centres of `by_frequency`, for a map that omits a fraction `border` of the
     chart's width on each side.
     """
-    return _chart_places(FREQUENCY_BINS, border)
+    return _chart_places(_FREQUENCY_BINS, border)
 
 
 def frequency_contrast_table(
@@ -212,9 +212,9 @@ def frequency_contrast_table(
 
     border : fractions of the chart's height and width that the map omits on each side
     """
-    bins = np.array_split(by_frequency(delta_e), CONTRAST_BINS, axis=0)
+    bins = np.array_split(by_frequency(delta_e), _CONTRAST_BINS, axis=0)
     table = np.stack([part.mean(axis=0) for part in bins])
-    contrasts = csf_contrast(_chart_places(CONTRAST_BINS, border[0]))
+    contrasts = csf_contrast(_chart_places(_CONTRAST_BINS, border[0]))
     return frequency_places(border[1]), contrasts, table
 
 
@@ -247,7 +247,7 @@ def modes(delta_e: Array) -> int:
     step = np.ptp(values) / HISTOGRAM_BINS
     padded = np.pad(counts.astype(float), HISTOGRAM_BINS // 4)
     density = scipy.ndimage.gaussian_filter1d(padded, bandwidth / step, mode="constant")
-    return prominent_maxima(density, MODE_PROMINENCE * density.max())
+    return prominent_maxima(density, _MODE_PROMINENCE * density.max())
 
 
 def prominent_maxima(values: Array, prominence: float) -> int:
@@ -362,11 +362,11 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     curve = evidence.curves[REFERENCE_TECHNOLOGY]
     best = curve.optimum
     size = f"{best.pitch_um:.2f} µm (95 %: {interval(best.interval_um)})"
-    agrees = best.inside and abs(best.pitch_um - OPTIMUM_UM) <= _TOLERANCE_UM
-    yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", size, agrees)
+    agrees = best.inside and abs(best.pitch_um - _OPTIMUM_UM) <= _TOLERANCE_UM
+    yield Finding("Optimal pixel size at 0.35 µm", f"about {_OPTIMUM_UM:g} µm", size, agrees)
     fill_factor = curve.optimum_fill_factor
-    agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= _FILL_FACTOR_TOLERANCE
-    yield Finding("Its fill factor", percent(OPTIMUM_FILL_FACTOR), percent(fill_factor), agrees)
+    agrees = abs(fill_factor - _OPTIMUM_FILL_FACTOR) <= _FILL_FACTOR_TOLERANCE
+    yield Finding("Its fill factor", percent(_OPTIMUM_FILL_FACTOR), percent(fill_factor), agrees)
 
 
 def _bands(frequencies_lp_per_mm: Array) -> str:
@@ -417,7 +417,7 @@ def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     places, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))
     frequency = evidence.frequency_lp_per_mm(places)
     row, column = np.unravel_index(table.argmax(), table.shape)
-    corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
+    corner = bool(row >= _CONTRAST_BINS - 2 and column >= _FREQUENCY_BINS - 2)
     result = (
         f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast"
         f" {contrast[row]:.2f}"

@@ -131,9 +131,9 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
 _CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
 # Time of a frame, of each pixel and of each dot, on one core of an ordinary machine.
-FRAME_S = 6e-4
-PIXEL_S = 2e-7
-DOT_S = 1.6e-7
+_FRAME_S = 6e-4
+_PIXEL_S = 2e-7
+_DOT_S = 1.6e-7
 _DOT_BYTES = 150.0
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
@@ -284,7 +284,7 @@ def frame_cost(camera: Camera, pitch_um: float, *displays: Display) -> FrameCost
         pixels if display.raster == "one_to_one" else _dots_on(camera, display)
         for display in displays
     ]
-    seconds = FRAME_S + pixels * PIXEL_S + sum(dots) * DOT_S
+    seconds = _FRAME_S + pixels * _PIXEL_S + sum(dots) * _DOT_S
     return FrameCost(seconds, pixels * BYTES_PER_PIXEL + max(dots) * _DOT_BYTES)
 
 
@@ -666,7 +666,7 @@ REPEATS_PER_TASK = 8  # after which a worker reports
 MAX_REPEATS = 10_000  # of a pitch
 # whose frames are shown on further displays, too: enough to see whether an answer depends on the
 # display
-CHECKED_REPEATS = 2
+_CHECKED_REPEATS = 2
 # Packages whose versions are in each key, with pixsim's sources.
 COMPUTED_BY = "mitsuba", "drjit", "colour-science"
 
@@ -728,24 +728,24 @@ def point_count(repeats: int, displays: int) -> int:
     """Return the number of evaluations of a pixel size: only the first repeats are shown on all
     displays.
     """
-    return repeats + min(repeats, CHECKED_REPEATS) * (displays - 1)
+    return repeats + min(repeats, _CHECKED_REPEATS) * (displays - 1)
 
 
 def point_at(number: int, displays: int) -> tuple[int, int]:
     """Return the repeat and the display of the evaluation of a number, as `point_count` counts
     them.
     """
-    checked = CHECKED_REPEATS * displays
+    checked = _CHECKED_REPEATS * displays
     if number < checked:
         return divmod(number, displays)
-    return CHECKED_REPEATS + number - checked, 0
+    return _CHECKED_REPEATS + number - checked, 0
 
 
 def points_at(
     numbers: NDArray[np.intp], displays: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the repeats and the displays of evaluations, (N,) as their numbers, by `point_at`."""
-    checked = CHECKED_REPEATS * displays
+    checked = _CHECKED_REPEATS * displays
     is_checked = numbers < checked
-    repeats = np.where(is_checked, numbers // displays, CHECKED_REPEATS + numbers - checked)
+    repeats = np.where(is_checked, numbers // displays, _CHECKED_REPEATS + numbers - checked)
     return repeats, np.where(is_checked, numbers % displays, 0)

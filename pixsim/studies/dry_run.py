@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 # On one core of an ordinary machine: the start, the kernel of a light; a sample of a film, a cell,
 # a cell behind a real lens; a page of several sizes, and the figures of a curve.
 START_S = 1.5
-KERNEL_S = 2.0
-SAMPLE_S = 2e-7
-CELL_S = 5e-7
-LENS_CELL_S = 5e-6
+_KERNEL_S = 2.0
+_SAMPLE_S = 2e-7
+_CELL_S = 5e-7
+_LENS_CELL_S = 5e-6
 PAGE_S = 3.0
-CURVE_S = 0.6
+_CURVE_S = 0.6
 _MOST_CURVES = 64  # of which a page has figures of their own
 _FILM_BYTES_PER_CELL = 120.0
 
@@ -86,9 +86,9 @@ def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
     samples = 0.0 if plan.samples.exact else 2.0 * cells * plan.samples.spp * plan.light.passes
     if plan.many_bounces:
         samples = max(samples, float(plan.most_samples))
-    cell_s = CELL_S if plan.film.tiling is None else LENS_CELL_S
-    kernels_s = 0.0 if plan.samples.exact else KERNEL_S * len(plan.light.lamps)
-    return kernels_s + samples * SAMPLE_S / cores + cells * cell_s
+    cell_s = _CELL_S if plan.film.tiling is None else _LENS_CELL_S
+    kernels_s = 0.0 if plan.samples.exact else _KERNEL_S * len(plan.light.lamps)
+    return kernels_s + samples * _SAMPLE_S / cores + cells * cell_s
 
 
 def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
@@ -189,7 +189,7 @@ def study_cost(
 
     curves = sum(len(study.technologies) for study, _ in cases)
     renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
-    seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, _MOST_CURVES)
+    seconds = START_S + PAGE_S + renders_s + frames_s / jobs + _CURVE_S * min(curves, _MOST_CURVES)
 
     cells = math.prod(shape)
     planes = plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size

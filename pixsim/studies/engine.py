@@ -48,8 +48,8 @@ CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
 # For a client that has lost its scheduler, which gives up after `CONNECT_SECONDS`; between two
 # looks at it.
-RECONNECT_SECONDS = 60.0
-LOOK_SECONDS = 0.1
+_RECONNECT_SECONDS = 60.0
+_LOOK_SECONDS = 0.1
 BATCH_SECONDS, MAX_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
 _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 # For workers to come back after all are lost; between two looks.
@@ -254,9 +254,9 @@ def _check_scheduler(client: Client, address: str) -> None:
     """Raise PixsimError if a client has lost its scheduler and does not find it again, or finds it
     without workers.
     """
-    deadline = time.monotonic() + RECONNECT_SECONDS
+    deadline = time.monotonic() + _RECONNECT_SECONDS
     while client.status == "connecting" and time.monotonic() < deadline:
-        time.sleep(LOOK_SECONDS)
+        time.sleep(_LOOK_SECONDS)
     if client.status != "running":
         hint = (
             "Start a cluster again, and run the same command: finished rows are kept, and it"

@@ -698,8 +698,8 @@ class Counts:
 
 # Tables of cases that are evaluated together -> sizes and sensors of each, with the further ones
 # that it needs.
-FurtherSizes = Callable[[Mapping[int, Table]], Mapping[int, Sizes]]
-CaseCallback = Callable[[int, Table], object]  # called with the number of a case and its table
+_FurtherSizes = Callable[[Mapping[int, Table]], Mapping[int, Sizes]]
+_CaseCallback = Callable[[int, Table], object]  # called with the number of a case and its table
 
 
 def evaluate_points(
@@ -708,8 +708,8 @@ def evaluate_points(
     workers: Workers | None = None,
     progress: Callable[[], Progress | None] = lambda: None,
     *,
-    further_sizes: FurtherSizes | None = None,
-    on_case_done: CaseCallback | None = None,
+    further_sizes: _FurtherSizes | None = None,
+    on_case_done: _CaseCallback | None = None,
     counts: Counts | None = None,
     first_frame: list[FirstFrame] | None = None,
     in_parts: bool = False,
@@ -801,8 +801,8 @@ class _Evaluation:
     def run(
         self,
         progress: Callable[[], Progress | None],
-        further_sizes: FurtherSizes | None,
-        on_case_done: CaseCallback | None,
+        further_sizes: _FurtherSizes | None,
+        on_case_done: _CaseCallback | None,
         in_parts: bool,
     ) -> Table:
         """Evaluate all points, in rounds, and return the table."""
@@ -832,8 +832,8 @@ class _Evaluation:
         self,
         groups: Sequence[object],
         progress: Progress | None,
-        further_sizes: FurtherSizes | None,
-        on_case_done: CaseCallback | None,
+        further_sizes: _FurtherSizes | None,
+        on_case_done: _CaseCallback | None,
     ) -> list[object]:
         """Evaluate the points of some groups, and return the groups that need further ones."""
         numbers = [number for group in groups for number in self.groups[group]]

@@ -161,7 +161,7 @@ def _scene_value(folder: Path, value: object) -> object:
 
 
 QUICK_REPEATS = 4
-QUICK_COUNT = 8
+_QUICK_COUNT = 8
 
 
 def study_files(name: str | os.PathLike[str], quick: bool = False) -> list[Path]:
@@ -191,7 +191,7 @@ def _quick_table(table: Mapping[str, Any]) -> dict[str, Any]:
     overrides: dict[str, Any] = {"repeats": _at_most(table.get("repeats"), QUICK_REPEATS)}
     pitch = table.get("pitch", {})
     if isinstance(pitch, dict) and "values_um" not in pitch:
-        overrides["pitch"] = {"count": _at_most(pitch.get("count"), QUICK_COUNT)}
+        overrides["pitch"] = {"count": _at_most(pitch.get("count"), _QUICK_COUNT)}
     return overrides
 
 

@@ -53,9 +53,9 @@ from pixsim.viewer.screen import white_header
 
 MIN_CELLS = 4  # across a film
 # Across a part; its cells are those of the coarsest film.
-MIN_PIXELS = 16
-MIN_PART_CELLS = 16
-MIN_DOTS = 8
+_MIN_PIXELS = 16
+_MIN_PART_CELLS = 16
+_MIN_DOTS = 8
 FINER_FILMS = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeated, and then averaged
 # Cells of the film itself that are measured on finer films: with theirs about half of `MEASURED`.
 _MEASURED_FINER_CELLS = MEASURED // 16
@@ -187,9 +187,9 @@ def measured_regions(
     # The side of a part is that of a PARTS-th of the picture over `reduction`.
     reduction = math.sqrt(max(height * width, pixels, 4 * dots) / (max_count or MEASURED))
     min_cells = max(
-        BLOCK * MIN_PART_CELLS,
-        MIN_PIXELS * pitch_um / image.pitch_um,
-        MIN_DOTS * width / display.dots,
+        BLOCK * _MIN_PART_CELLS,
+        _MIN_PIXELS * pitch_um / image.pitch_um,
+        _MIN_DOTS * width / display.dots,
     )
     shortest_cells = min(height, width) / PARTS
     reduction = min(reduction, shortest_cells / min_cells)
@@ -735,7 +735,7 @@ def film_steps(
     parts = list(parts_of(image, size_um, display))
     dot_samples = samples_per_dot(image.shape[1], imaging, chart)
     is_chart = _chart_with_known_means(image, chart) is not None
-    if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
+    if min(parts[0][0].shape) < BLOCK * _MIN_PART_CELLS:
         return FilmSteps(np.empty(0), np.empty(0), dot_samples, is_chart=is_chart)
 
     # The film itself, and coarser ones until a cell is a block.

@@ -64,8 +64,8 @@ LOOK_CONFIDENCE = 0.987
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)
 # Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the
 # tails admit a parabola.
-USUAL_STIFFNESS = 3.0
-STIFFNESS_SPREAD = 0.7
+_USUAL_STIFFNESS = 3.0
+_STIFFNESS_SPREAD = 0.7
 # Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels
 # (in release 1.0.0) 0.2 to 0.5.
 RESIDUALS = (0.0, 0.1, 0.25, 0.5)
@@ -759,7 +759,9 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
     # Likelihood times priors.
     stiffnesses = np.array([fit.stiffness for fit in fits])
     log_likelihoods = np.array([fit.log_likelihood for fit in fits])
-    log_weights = log_likelihoods - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
+    log_weights = (
+        log_likelihoods - np.abs(np.log(stiffnesses / _USUAL_STIFFNESS)) / _STIFFNESS_SPREAD
+    )
     log_weights[[fit.ripple == 0 for fit in fits]] += np.log(_NO_RIPPLE_WEIGHT)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()

@@ -392,7 +392,7 @@ class SensorTypes:
 
 _ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 _MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
-ChosenSettings = TypeVar("ChosenSettings", bound=Setting)
+_ChosenSettings = TypeVar("_ChosenSettings", bound=Setting)
 
 
 def choose_view(
@@ -435,7 +435,7 @@ def choose_view(
     return view
 
 
-def with_view(settings: ChosenSettings, view: Mapping[str, Any]) -> ChosenSettings:
+def with_view(settings: _ChosenSettings, view: Mapping[str, Any]) -> _ChosenSettings:
     """Return settings with the display and the chart of `choose_view`, where they do not state
     them.
     """

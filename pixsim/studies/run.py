@@ -82,7 +82,7 @@ _MAX_STEP = math.log(8.0)  # of a value's logarithm, on the way to the threshold
 # Steps of a value's logarithm, over the logarithm of d′ that is missing: d′ grows at least as the
 # root of the light.
 _STEP_FACTOR = 2.2
-MAX_STEPS = 9  # on the way to a value on the other side of the threshold
+_MAX_STEPS = 9  # on the way to a value on the other side of the threshold
 MAX_RENDERS = 24  # of the whole search
 # Steps beyond the last value that is seen, up to 512 times as much: a target may be too bright.
 _UPWARD_STEPS = 3
@@ -240,13 +240,13 @@ class Search:
         self.climb()
         if self.at[self.best] < 0:
             return None, None
-        return self.end(-1, MAX_STEPS), self.end(1, _UPWARD_STEPS)
+        return self.end(-1, _MAX_STEPS), self.end(1, _UPWARD_STEPS)
 
     def climb(self) -> None:
         """Evaluate until it is 0 or more somewhere: up first, down from where it falls, then around
         its maximum.
         """
-        for _ in range(MAX_STEPS):
+        for _ in range(_MAX_STEPS):
             best = self.best
             lower, upper = (
                 [away for away in self.at if (away - best) * sign > 0] for sign in (-1, 1)

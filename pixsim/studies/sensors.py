@@ -956,7 +956,7 @@ def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
 
 
 Match = Literal["view", "lens", "own"]
-SAME_FIELD = 1e-9  # relative difference of two fields of view that is rounding
+_SAME_FIELD = 1e-9  # relative difference of two fields of view that is rounding
 
 
 def matched_cameras(
@@ -1025,7 +1025,7 @@ def _cropped(camera: Camera, width: float, height: float) -> Camera:
     """
     width_mm = width * camera.image_distance_mm
     height_mm = height * camera.image_distance_mm
-    rounding = 1 + SAME_FIELD
+    rounding = 1 + _SAME_FIELD
     if camera.die_mm <= width_mm * rounding and camera.height_mm <= height_mm * rounding:
         return camera
     die = {

@@ -59,7 +59,7 @@ from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 # --------------------------------------------------------------------------------------------------
 
 _AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
-MAX_JOINED_SETTINGS = 100  # settings of an axis that take each value together
+_MAX_JOINED_SETTINGS = 100  # settings of an axis that take each value together
 # Columns of a study's rows, which no axis may be named after.
 _NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}
 _PITCH_TABLE = "pitch"
@@ -315,7 +315,7 @@ class Axis(Record):
     )
     set: Annotated[
         tuple[_DottedSetting, ...],
-        Field(max_length=MAX_JOINED_SETTINGS),
+        Field(max_length=_MAX_JOINED_SETTINGS),
         BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...]),
     ] = Field((), description="dotted settings that take each value together")
     values: Annotated[tuple[_OneOfAxis, ...], Field(max_length=_AXIS_COUNT)] | None = Field(

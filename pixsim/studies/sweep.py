@@ -72,7 +72,7 @@ from pixsim.viewer.without_effect import SOLVE_FOR, UserSettings, warn_of_settin
 
 # Labels before the labels of axes and conditions.
 PIXEL = "pixel"
-DRAW = "draw"
+_DRAW = "draw"
 USUAL_REPEATS = 1
 # Settings of a render, which change nothing in light that is given.
 _RENDER_SETTINGS = ("tolerance_e", "render_noise", "resolution", "max_seconds")
@@ -309,7 +309,7 @@ def _prepare_cases(
         )
         for case in _with_one_screen(group, light, len(cases)):
             cases.append(replace(case, background=background))
-    check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
+    check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, _DRAW)
     warn_of_reviews(
         (f"pixel {case.labels[PIXEL]}", case, SceneLight(light, given_background)) for case in cases
     )
@@ -403,12 +403,12 @@ def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) ->
     ]
     types = SensorTypes.of(type_request, first)
     unknowns = [unknown for members in types.sample.inputs.values() for unknown in members]
-    as_is = {DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
+    as_is = {_DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
     typed = [replace(case, labels=case.labels | as_is) for case in cases]
     for number, case in enumerate(cases):
         imagings = types.imagings(str(case.labels[PIXEL]), _imaging_of_case(case))
         for draw, imaging in enumerate(imagings):
-            labels = case.labels | {DRAW: draw} | types.sample.draws[draw]
+            labels = case.labels | {_DRAW: draw} | types.sample.draws[draw]
             typed.append(replace(case, labels=labels, group=(number, draw), imaging=imaging))
     return typed
 

@@ -770,7 +770,7 @@ MIN_PITCHES = 5  # of a curve that can be fitted
 # Simulated studies of dense sweeps (tests/data/dense_sweeps) with these pitches give the optimum to
 # 1 % (5 % on a flat curve), as their intervals say, also if it lies a quarter beside the base's.
 # Ratio of the few pitches' ends to the base optimum, whose half interval counts three times.
-FEW_PITCHES_RATIO = (2.0, 4.0)
+_FEW_PITCHES_RATIO = (2.0, 4.0)
 PITCH_DIGITS = 5  # significant ones
 
 
@@ -796,10 +796,10 @@ def few_pitches_um(
     if not 0 < low < high:
         raise invalid("range_um", f"[{low:g}, {high:g}]", "0 < low < high")
     ratios = [
-        max(end, optimum_um) / min(end, optimum_um) if end else FEW_PITCHES_RATIO[1]
+        max(end, optimum_um) / min(end, optimum_um) if end else _FEW_PITCHES_RATIO[1]
         for end in interval_um
     ]
-    ratio = float(np.clip(max(ratios) ** 3, *FEW_PITCHES_RATIO))
+    ratio = float(np.clip(max(ratios) ** 3, *_FEW_PITCHES_RATIO))
     first = max(low, optimum_um / ratio)
     last = min(high, optimum_um * ratio)
 

@@ -41,9 +41,9 @@ from pixsim.viewer.without_effect import UserSettings, field_names, warn_of_sett
 
 # Samples across the film, relative to that of a run
 EFFORTS = (0.25, 0.5, 1.0)
-QUICK_EFFORTS = (0.5, 1.0)
+_QUICK_EFFORTS = (0.5, 1.0)
 REFERENCE = 2.0
-REFERENCE_OF_CHART = 4.0
+_REFERENCE_OF_CHART = 4.0
 _REFERENCE_ERROR_SHARE = (
     1 / 3
 )  # of the smallest error that is shown: largest error of the reference
@@ -236,7 +236,7 @@ def measure_accuracy(
     request = light_request(Case(settings.model_copy(update=still), resolved=(scene, camera)))
     light, _ = rendered_light(request, progress("render"))
     rungs, reference = climb(
-        request, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder")
+        request, light.image.shape[1], _QUICK_EFFORTS if quick else EFFORTS, progress("ladder")
     )
     progress("extreme cases")
     return Accuracy(
@@ -265,8 +265,8 @@ def climb(
 
     # The reference is finer still where the light is the exact mean of a chart.
     reference = REFERENCE
-    if request.plan.samples.exact and REFERENCE_OF_CHART * across <= max_across:
-        reference = REFERENCE_OF_CHART
+    if request.plan.samples.exact and _REFERENCE_OF_CHART * across <= max_across:
+        reference = _REFERENCE_OF_CHART
     rung_efforts = list(efforts)
     if reference * across <= max_across:
         rung_efforts.append(reference)

@@ -59,8 +59,8 @@ _MAX_NOISE_GAIN = (
 )
 _SMI_PER_DELTA_E = 5.5  # of the sensitivity metamerism index, ISO 17321-1
 _SMOOTHING_DELTA_E = (1.0, 1e-1, 1e-2, 1e-3, 1e-5, 1e-7)
-CIE_LINEAR_BELOW = 216 / 24389
-CIE_SLOPE = 841 / 108
+_CIE_LINEAR_BELOW = 216 / 24389
+_CIE_SLOPE = 841 / 108
 # L*, a* and b* from f(X/Xn), f(Y/Yn) and f(Z/Zn), without the constant -16 of L*.
 _LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
 
@@ -274,10 +274,10 @@ def _f_and_slope(relative: Array) -> tuple[Array, Array]:
     """Return CIELAB's f of X/Xn, Y/Yn and Z/Zn, and its derivative, in the same shape; CIE 15,
     linear also below 0.
     """
-    is_linear = relative <= CIE_LINEAR_BELOW
+    is_linear = relative <= _CIE_LINEAR_BELOW
     root = np.cbrt(np.where(is_linear, 1.0, relative))
-    f = np.where(is_linear, CIE_SLOPE * relative + 16 / 116, root)
-    return f, np.where(is_linear, CIE_SLOPE, 1 / (3 * np.square(root)))
+    f = np.where(is_linear, _CIE_SLOPE * relative + 16 / 116, root)
+    return f, np.where(is_linear, _CIE_SLOPE, 1 / (3 * np.square(root)))
 
 
 def colour_errors(matrix: Array, responses: Array, xyz: Array, white_xyz: ArrayLike) -> Array:

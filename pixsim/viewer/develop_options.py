@@ -31,10 +31,10 @@ _TONE_CURVES = ("none", "gamma", "srgb", "reinhard")
 _ALLOWED_TONE = (
     f"{', '.join(_TONE_CURVES)}, or a CSV file of light (1 for white) and value (0 to 1)"
 )
-MAX_TONE_LIGHT = 1e6
-MAX_TONE_ROWS = 4096
+_MAX_TONE_LIGHT = 1e6
+_MAX_TONE_ROWS = 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
-_ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
+_ToneRow = tuple[Annotated[float, Field(ge=0, le=_MAX_TONE_LIGHT)], UnitInterval]
 _ToneTable = tuple[_ToneRow, ...]
 _FUNCTION_HINT = "the function of one's own is given in Python: develop={'denoise': my_function}"
 
@@ -142,18 +142,18 @@ def _read_tone_table(path: Path) -> _ToneTable:
 
 
 def _checked_tone(rows: _ToneTable, source: str) -> _ToneTable:
-    if not 2 <= len(rows) <= MAX_TONE_ROWS:
+    if not 2 <= len(rows) <= _MAX_TONE_ROWS:
         raise ValueError(
-            f"got {source} of {len(rows)} rows; allowed: 2 to {MAX_TONE_ROWS} rows of light and"
+            f"got {source} of {len(rows)} rows; allowed: 2 to {_MAX_TONE_ROWS} rows of light and"
             " value"
         )
     for light, value in rows:
-        if not (0 <= light <= MAX_TONE_LIGHT and 0 <= value <= 1):  # NaN neither
+        if not (0 <= light <= _MAX_TONE_LIGHT and 0 <= value <= 1):  # NaN neither
             hint = " Divide values of codes by the top code." if 1 < value < math.inf else ""
             got = f"got {source} with light {light:g} and value {value:g}"
             raise ValueError(
-                f"{got}; allowed: light of 0 to {MAX_TONE_LIGHT:g}, 1 for white, and values of 0 to"
-                f" 1.{hint}"
+                f"{got}; allowed: light of 0 to {_MAX_TONE_LIGHT:g}, 1 for white, and values of 0"
+                f" to 1.{hint}"
             )
     for (low, under), (high, over) in pairwise(rows):
         if not (low < high and under <= over):

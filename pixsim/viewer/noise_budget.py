@@ -64,11 +64,11 @@ ROUNDING = "rounding by the ADC"
 MOSAIC = "mosaic"
 CROSSTALK = "crosstalk and shading"
 COLOUR_ERROR = "colour error"
-SHADING = "shading"
+_SHADING = "shading"
 MOTION = "motion"
 VEIL = "veiling glare"
 LENS = "lens"
-NEIGHBOURS = "neighbours"
+_NEIGHBOURS = "neighbours"
 SAMPLING = "sampling and interpolation"
 APERTURE = "pixel aperture"
 NOISE = "noise"
@@ -362,7 +362,7 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     # Shading, motion and veil, of the light behind the lens.
     if scene.rendition is None and collection is not None:
         rates = diffracted(irradiance, camera, weights, diffusion)
-        yield SHADING, delta_e_of_pixels(rates, moving=chain.moving)
+        yield _SHADING, delta_e_of_pixels(rates, moving=chain.moving)
     if chain.moving.is_on:
         rates = diffracted(irradiance, camera, weights, diffusion)
         yield MOTION, delta_e_of_pixels(rates)
@@ -377,7 +377,7 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     yield LENS, delta_e_of_pixels(rates)
     if collection is not None or diffusion is not None:
         rates = diffracted(sharp, sharp_camera, weights, None)
-        yield NEIGHBOURS, delta_e_of_pixels(rates, shares=False)
+        yield _NEIGHBOURS, delta_e_of_pixels(rates, shares=False)
 
     # Sampling and interpolation, then the aperture of a pixel.
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um

@@ -21,11 +21,11 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import WHITE_XYZ, XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
 
-SRGB_LINEAR_TO = 0.0031308
-SRGB_SLOPE = 12.92
-SRGB_SCALE = 1.055
-SRGB_OFFSET = 0.055
-SRGB_GAMMA = 2.4
+_SRGB_LINEAR_TO = 0.0031308
+_SRGB_SLOPE = 12.92
+_SRGB_SCALE = 1.055
+_SRGB_OFFSET = 0.055
+_SRGB_GAMMA = 2.4
 
 
 def _srgb_value(light: Numbers) -> Array:
@@ -36,8 +36,8 @@ def _srgb_value(light: Numbers) -> Array:
     0.5
     """
     inside = np.clip(light, 0.0, 1.0)
-    curved = SRGB_SCALE * inside ** (1 / SRGB_GAMMA) - SRGB_OFFSET
-    return np.asarray(np.where(inside <= SRGB_LINEAR_TO, SRGB_SLOPE * inside, curved))
+    curved = _SRGB_SCALE * inside ** (1 / _SRGB_GAMMA) - _SRGB_OFFSET
+    return np.asarray(np.where(inside <= _SRGB_LINEAR_TO, _SRGB_SLOPE * inside, curved))
 
 
 def reinhard(luminance: Numbers, white: Positive) -> Array:

@@ -70,8 +70,8 @@ _NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
 # Of the longest time of an automatic exposure: no whole number of periods of lamps, and below it.
 _PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
 # Of what dark charge leaves, of the brightest pixel.
-PART_OF_WELL = 0.5
-MIN_PART_OF_WELL = 0.1
+_PART_OF_WELL = 0.5
+_MIN_PART_OF_WELL = 0.1
 STREAM = ("small light",)
 
 _MAX_CACHED_NOTES = 256  # of calls with records
@@ -253,12 +253,12 @@ class _SmallLight:
             time_s = _PART_OF_LONGEST * exposure.times * exposure.max_integration_s
             if exposure.flicker_hz is not None:  # in many periods lamps are steady
                 time_s = min(time_s, _PART_OF_LONGEST / exposure.flicker_hz)
-            if dark_e_per_s * time_s > PART_OF_WELL * well_e:
-                time_s = PART_OF_WELL * well_e / dark_e_per_s
+            if dark_e_per_s * time_s > _PART_OF_WELL * well_e:
+                time_s = _PART_OF_WELL * well_e / dark_e_per_s
         else:
-            well_e = PART_OF_WELL * readout.saturation_e
+            well_e = _PART_OF_WELL * readout.saturation_e
             time_s = exposure.times * exposure.integration_s
-        light_e = max(well_e - dark_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
+        light_e = max(well_e - dark_e_per_s * time_s, _MIN_PART_OF_WELL * well_e)
         return light_e / time_s / unit_light_e_per_s
 
     def _white(self, imaging: Imaging) -> dict[str, float | None]:

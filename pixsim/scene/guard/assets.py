@@ -21,8 +21,8 @@ NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?")
 _NO_METAL = "none"
 _ALLOWED_SPECTRUM = "lines of a wavelength in nm and a value, as numbers"
 # Powers of ten between which numbers are written without an exponent, as Python's floats.
-MIN_PLAIN = -5
-MAX_PLAIN = 16
+_MIN_PLAIN = -5
+_MAX_PLAIN = 16
 
 
 def check_asset(path: Path, what: str, most_bytes: int = MAX_ASSET) -> None:
@@ -74,7 +74,7 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
 
 def _plain(number: Decimal) -> str:
     """A number as Mitsuba reads it."""
-    if number.is_zero() or MIN_PLAIN < number.adjusted() < MAX_PLAIN:
+    if number.is_zero() or _MIN_PLAIN < number.adjusted() < _MAX_PLAIN:
         return f"{number:f}"
     return repr(float(number))
 

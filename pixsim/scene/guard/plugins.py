@@ -42,10 +42,10 @@ class Plugin:
 
 NUMBER = PropertyRule(_NUMBER_TAGS)
 WHOLE = PropertyRule(("integer",))
-FLAG = PropertyRule(("boolean",))
+_FLAG = PropertyRule(("boolean",))
 TEXT = PropertyRule(("string",))
-TRANSFORM = PropertyRule(("transform",))
-POINT = PropertyRule(("point", "vector"))
+_TRANSFORM = PropertyRule(("transform",))
+_POINT = PropertyRule(("point", "vector"))
 COLOUR = PropertyRule(_COLOUR_TAGS, kinds=("texture",))
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
 INDEX = PropertyRule(("string", *_COLOUR_TAGS), kinds=("texture",))
@@ -61,21 +61,21 @@ def _properties(rule: PropertyRule, names: str) -> dict[str, PropertyRule]:
     return dict.fromkeys(names.split(), rule)
 
 
-_EMITTER = _properties(NUMBER, "sampling_weight") | _properties(TRANSFORM, "to_world")
+_EMITTER = _properties(NUMBER, "sampling_weight") | _properties(_TRANSFORM, "to_world")
 _SHAPE = (
-    _properties(TRANSFORM, "to_world")
-    | _properties(FLAG, "flip_normals")
+    _properties(_TRANSFORM, "to_world")
+    | _properties(_FLAG, "flip_normals")
     | _properties(NUMBER, "silhouette_sampling_weight")
 )
 _MESH_SHAPE = (
-    _SHAPE | _properties(MESH_FILE, "filename") | _properties(FLAG, "face_normals flip_tex_coords")
+    _SHAPE | _properties(MESH_FILE, "filename") | _properties(_FLAG, "face_normals flip_tex_coords")
 )
 _INTEGRATOR = (
     _properties(WHOLE, "max_depth rr_depth block_size samples_per_pass")
-    | _properties(FLAG, "hide_emitters")
+    | _properties(_FLAG, "hide_emitters")
     | _properties(NUMBER, "timeout")
 )
-_SENSOR = _properties(TRANSFORM, "to_world") | _properties(
+_SENSOR = _properties(_TRANSFORM, "to_world") | _properties(
     NUMBER, "near_clip far_clip shutter_open shutter_close"
 )
 _PERSPECTIVE = (
@@ -85,17 +85,17 @@ _PERSPECTIVE = (
 )
 _THIN_LENS = _PERSPECTIVE | _properties(NUMBER, "aperture_radius focus_distance")
 _SAMPLER = _properties(WHOLE, "sample_count seed")
-_JITTERED_SAMPLER = _SAMPLER | _properties(FLAG, "jitter")
+_JITTERED_SAMPLER = _SAMPLER | _properties(_FLAG, "jitter")
 _FILM = (
     _properties(WHOLE, "width height crop_width crop_height crop_offset_x crop_offset_y")
-    | _properties(FLAG, "sample_border compensate banner")
+    | _properties(_FLAG, "sample_border compensate banner")
     | _properties(TEXT, "component_format")
 )
 _BITMAP = (
     _properties(PICTURE_FILE, "filename")
     | _properties(TEXT, "filter_type wrap_mode format")
-    | _properties(FLAG, "raw accel")
-    | _properties(TRANSFORM, "to_uv")
+    | _properties(_FLAG, "raw accel")
+    | _properties(_TRANSFORM, "to_uv")
 )
 _SPECTRUM_TABLE = _properties(NUMBER, "wavelength_min wavelength_max")
 _DIELECTRIC = _properties(INDEX, "int_ior ext_ior") | _properties(
@@ -104,7 +104,7 @@ _DIELECTRIC = _properties(INDEX, "int_ior ext_ior") | _properties(
 _ROUGHNESS = (
     _properties(COLOUR, "alpha alpha_u alpha_v")
     | _properties(TEXT, "distribution")
-    | _properties(FLAG, "sample_visible")
+    | _properties(_FLAG, "sample_visible")
 )
 _CONDUCTOR = (
     _properties(METAL_NAME, "material")
@@ -114,7 +114,7 @@ _CONDUCTOR = (
 _PLASTIC = (
     _properties(COLOUR, "diffuse_reflectance specular_reflectance")
     | _properties(INDEX, "int_ior ext_ior")
-    | _properties(FLAG, "nonlinear")
+    | _properties(_FLAG, "nonlinear")
 )
 _PRINCIPLED = (
     _properties(COLOUR, "base_color")
@@ -136,19 +136,19 @@ _SKY = (
     )
     | _properties(WHOLE, "year month day")
     | _properties(COLOUR, "albedo")
-    | _properties(POINT, "sun_direction")
-    | _properties(FLAG, "complex_sun")
+    | _properties(_POINT, "sun_direction")
+    | _properties(_FLAG, "complex_sun")
 )
 _MEDIUM = (
     _properties(VOLUME, "albedo sigma_t")
     | _properties(NUMBER, "scale")
-    | _properties(FLAG, "sample_emitters has_spectral_extinction")
+    | _properties(_FLAG, "sample_emitters has_spectral_extinction")
 )
-_NORMAL_MAP = _properties(FLAG, "use_shadowing_function flip_invalid_normals")
+_NORMAL_MAP = _properties(_FLAG, "use_shadowing_function flip_invalid_normals")
 _GRID_VOLUME = (
     _properties(GRID_FILE, "filename")
     | _properties(TEXT, "filter_type wrap_mode")
-    | _properties(FLAG, "raw accel use_grid_bbox")
+    | _properties(_FLAG, "raw accel use_grid_bbox")
 )
 _SHAPE_CHILDREN = ("bsdf", "emitter", "medium", "texture")
 _SENSOR_CHILDREN = ("film", "sampler", "medium")
@@ -170,7 +170,9 @@ _SCENE_CHILDREN = (
 # Kind -> name -> plugin.
 PLUGINS: dict[str, dict[str, Plugin]] = {
     "scene": {
-        "scene": Plugin(_properties(FLAG, "embree_use_robust_intersections"), holds=_SCENE_CHILDREN)
+        "scene": Plugin(
+            _properties(_FLAG, "embree_use_robust_intersections"), holds=_SCENE_CHILDREN
+        )
     },
     "sensor": {
         "thinlens": Plugin(_THIN_LENS, holds=_SENSOR_CHILDREN),
@@ -209,10 +211,10 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
             Plugin(_EMITTER | _properties(COLOUR, "radiance")),
         ),
         "directional": Plugin(
-            _EMITTER | _properties(COLOUR, "irradiance") | _properties(POINT, "direction")
+            _EMITTER | _properties(COLOUR, "irradiance") | _properties(_POINT, "direction")
         ),
         "point": Plugin(
-            _EMITTER | _properties(COLOUR, "intensity") | _properties(POINT, "position")
+            _EMITTER | _properties(COLOUR, "intensity") | _properties(_POINT, "position")
         ),
         "spot": Plugin(
             _EMITTER
@@ -230,27 +232,27 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
             _EMITTER
             | _properties(PICTURE_FILE, "filename")
             | _properties(NUMBER, "scale")
-            | _properties(FLAG, "mis_compensation")
+            | _properties(_FLAG, "mis_compensation")
         ),
         "sunsky": Plugin(_EMITTER | _SKY),
     },
     "shape": {
         "sphere": Plugin(
-            _SHAPE | _properties(POINT, "center") | _properties(NUMBER, "radius"),
+            _SHAPE | _properties(_POINT, "center") | _properties(NUMBER, "radius"),
             holds=_SHAPE_CHILDREN,
         ),
         "cylinder": Plugin(
-            _SHAPE | _properties(POINT, "p0 p1") | _properties(NUMBER, "radius"),
+            _SHAPE | _properties(_POINT, "p0 p1") | _properties(NUMBER, "radius"),
             holds=_SHAPE_CHILDREN,
         ),
         **dict.fromkeys(("rectangle", "disk"), Plugin(_SHAPE, holds=_SHAPE_CHILDREN)),
-        "cube": Plugin(_SHAPE | _properties(FLAG, "face_normals"), holds=_SHAPE_CHILDREN),
+        "cube": Plugin(_SHAPE | _properties(_FLAG, "face_normals"), holds=_SHAPE_CHILDREN),
         **dict.fromkeys(("ply", "obj"), Plugin(_MESH_SHAPE, holds=_SHAPE_CHILDREN)),
         "serialized": Plugin(
             _MESH_SHAPE | _properties(WHOLE, "shape_index"), holds=_SHAPE_CHILDREN
         ),
         "shapegroup": Plugin(holds=("shape",)),
-        "instance": Plugin(_properties(TRANSFORM, "to_world"), holds=("shape",)),
+        "instance": Plugin(_properties(_TRANSFORM, "to_world"), holds=("shape",)),
     },
     "bsdf": {
         "diffuse": Plugin(_properties(COLOUR, "reflectance")),
@@ -274,7 +276,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
     "texture": {
         "bitmap": Plugin(_BITMAP),
         "checkerboard": Plugin(
-            _properties(COLOUR, "color0 color1") | _properties(TRANSFORM, "to_uv")
+            _properties(COLOUR, "color0 color1") | _properties(_TRANSFORM, "to_uv")
         ),
         "mesh_attribute": Plugin(_properties(TEXT, "name") | _properties(NUMBER, "scale")),
         "volume": Plugin(holds=("volume",)),
@@ -296,6 +298,6 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
     },
     "volume": {
         "constvolume": Plugin(_properties(COLOUR, "value")),
-        "gridvolume": Plugin(_GRID_VOLUME | _properties(TRANSFORM, "to_world")),
+        "gridvolume": Plugin(_GRID_VOLUME | _properties(_TRANSFORM, "to_world")),
     },
 }

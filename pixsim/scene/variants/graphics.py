@@ -22,7 +22,7 @@ from pixsim.scene.trial import trial_render
 CUDA = "cuda_ad_spectral"
 NODES = ("/dev/nvidiactl", "/dev/dxg")  # devices of the NVIDIA driver, and of a card in WSL 2
 DRIVER_VARIABLE = "DRJIT_LIBCUDA_PATH"
-DRIVER = "libcuda.so.1"
+_DRIVER = "libcuda.so.1"
 _DRIVER_FILES = Path(
     "/proc/driver/nvidia"
 )  # its version and its cards, which can be read without starting it
@@ -80,7 +80,7 @@ def no_card_reason() -> str | None:
     """
     if not any(os.path.exists(node) for node in NODES):
         return NO_CARD
-    driver = os.environ.get(DRIVER_VARIABLE) or DRIVER
+    driver = os.environ.get(DRIVER_VARIABLE) or _DRIVER
     try:
         ctypes.CDLL(driver)  # which does not start it
     except OSError:

@@ -31,8 +31,8 @@ PACKAGES = ("skimage", "pywt")
 NLM_PATCH, NLM_DISTANCE = 5, 6  # side of a patch, and how far its likes are looked for, in pixels
 _NLM_CUT_OFF = 0.8  # of the noise: scikit-image's advice where it is known
 # The same for planes of any size from 48 pixels on: scikit-image's default grows with it.
-WAVELET = "db2"
-WAVELET_LEVELS = 4
+_WAVELET = "db2"
+_WAVELET_LEVELS = 4
 MIN_SIDE: dict[str, int] = {"nlm": 2 * NLM_DISTANCE + NLM_PATCH, "wavelet": 8}
 
 
@@ -116,8 +116,8 @@ def wavelet_shrinkage(plane: Array, sigma: float) -> Array:
     height, width = plane.shape
     options: dict[str, Any] = {
         "sigma": sigma,
-        "wavelet": WAVELET,
-        "wavelet_levels": min(WAVELET_LEVELS, dwt_max_level(min(height, width), WAVELET)),
+        "wavelet": _WAVELET,
+        "wavelet_levels": min(_WAVELET_LEVELS, dwt_max_level(min(height, width), _WAVELET)),
         "method": "BayesShrink",
         "mode": "soft",
     }

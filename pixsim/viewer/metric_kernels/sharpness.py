@@ -17,9 +17,9 @@ from pixsim.base.errors import invalid
 # Contrast sensitivity 75 ν^0.8 e^(-0.2 ν)/34.05, ν in cy/deg, of IEEE 1858 and ISO 15739:2013,
 # annex B: 3 at its peak, 4 cy/deg. G. M. Johnson & M. D. Fairchild, "A top down description of
 # S-CIELAB and CIEDE2000", Color Res. Appl. 28 (2003) 425.
-CSF_SCALE = 75 / 34.05
-CSF_POWER = 0.8
-CSF_DECAY = 0.2
+_CSF_SCALE = 75 / 34.05
+_CSF_POWER = 0.8
+_CSF_DECAY = 0.2
 STEEPEST_DEG = 45.0
 
 Frequencies = Annotated[Array, NOT_NEGATIVE, Axes(1)]
@@ -75,7 +75,9 @@ def mtf50(frequency: Frequencies, mtf: NotNegativeArray) -> float | None:
 
 def luminance_csf(frequency_cy_per_deg: Array) -> Array:
     """Return the eye's contrast sensitivity for luminance, (...) as the frequencies, relative."""
-    return CSF_SCALE * frequency_cy_per_deg**CSF_POWER * np.exp(-CSF_DECAY * frequency_cy_per_deg)
+    return (
+        _CSF_SCALE * frequency_cy_per_deg**_CSF_POWER * np.exp(-_CSF_DECAY * frequency_cy_per_deg)
+    )
 
 
 def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
@@ -95,10 +97,10 @@ def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
     1.0
     """
     frequency, mtf = curve_from_0("frequency_cy_per_deg", frequency_cy_per_deg, mtf)
-    shape = CSF_POWER + 1
+    shape = _CSF_POWER + 1
     # Of the CSF in each interval, and its first moment.
-    share = np.diff(gammainc(shape, CSF_DECAY * frequency))
-    moment = np.diff(gammainc(shape + 1, CSF_DECAY * frequency)) * shape / CSF_DECAY
+    share = np.diff(gammainc(shape, _CSF_DECAY * frequency))
+    moment = np.diff(gammainc(shape + 1, _CSF_DECAY * frequency)) * shape / _CSF_DECAY
     slope = np.diff(mtf) / np.diff(frequency)
     return float((mtf[:-1] * share + slope * (moment - frequency[:-1] * share)).sum())
 
