@@ -316,8 +316,10 @@ def values_of(
         raise
     except Exception as error:  # a user's function may raise anything
         raise invalid(
-            name, f"one that fails ({type(error).__name__}: {one_line(str(error), 200)})", expected
+            name,
+            f"a function that fails ({type(error).__name__}: {one_line(str(error), 200)})",
+            expected,
         ) from error
     if values.shape not in ((), shape):
-        raise invalid(name, f"one that returns an array of shape {values.shape}", expected)
+        raise invalid(name, f"a function that returns an array of shape {values.shape}", expected)
     return values

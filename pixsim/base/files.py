@@ -234,7 +234,7 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     if not quiet:
         words = (
             f"'{folder}' is not a folder that only you can write: {name} serve this command only;"
-            f" remove it, or set {FOLDER_VARIABLE} to a folder of yours"
+            f" remove it, or set {FOLDER_VARIABLE} to your own folder"
         )
         warn(Note("machine", words=words))
     return process_folder

@@ -43,7 +43,10 @@ class _RecordType(ModelMetaclass):
                 " the brackets."
             )
             raise invalid(
-                cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint
+                cls.__name__,
+                repr(args[0])[:MAX_VALUE],
+                "fields by name, such as pitch_um=3.45",
+                hint,
             )
         try:
             return super().__call__(*args, **fields)

@@ -650,7 +650,7 @@ def definitions(
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals):
-            raise PixsimError(f"-D: got '{pair}'; allowed: name=value, as in -D spp=64.")
+            raise PixsimError(f"-D: got '{pair}'; allowed: name=value, such as -D spp=64.")
         table[name.strip()] = value
     return table or None
 

@@ -383,7 +383,7 @@ def _check_saturation(data: Array, saturation: float) -> None:
         raise invalid(
             "edge picture",
             f"{percent(full, 1)} saturated pixels",
-            f"at most {percent(_MAX_SATURATED, 1)} from saturation = {saturation:g} on",
+            f"at most {percent(_MAX_SATURATED, 1)} at or above saturation = {saturation:g}",
             hint,
         )
 
@@ -511,7 +511,7 @@ def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple
     tells apart.
     """
     hint = (
-        "State the filters as in --layout RG/GB (layout='RG/GB'), or measure one place of 2 × 2:"
+        "State the filters such as --layout RG/GB (layout='RG/GB'), or measure one place of 2 × 2:"
         " --channel 0,0, 0,1, 1,0 or 1,1."
     )
     if channel != "G":
@@ -916,10 +916,10 @@ def _check_mosaic(data: Array) -> None:
                 places = "four parities" if cell == 2 else f"places of {cell} × {cell} pixels"
                 got = f"what looks like a colour mosaic: the means of the {places} differ ({rows})"
                 hint = (
-                    "Measure one channel: state the filters and the channel, as in --layout RG/GB"
+                    "Measure one channel: state the filters and the channel, such as --layout RG/GB"
                     " --channel G"
                 )
-                hint += ", or one parity, as in --channel 0,1 (row,column)." if cell == 2 else "."
+                hint += ", or one parity, such as --channel 0,1 (row,column)." if cell == 2 else "."
                 raise invalid("edge picture", got, "one channel", hint)
 
 

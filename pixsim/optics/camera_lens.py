@@ -137,7 +137,10 @@ def camera_with_lens(
     ):
         if getattr(camera_options, name) is not None:
             raise invalid(
-                f"camera.{name}", f"a value beside lens.file = '{lens_options.file}'", allowed, hint
+                f"camera.{name}",
+                f"a value together with lens.file = '{lens_options.file}'",
+                allowed,
+                hint,
             )
 
     lens = _lens_record(camera, camera_options, lens_options)

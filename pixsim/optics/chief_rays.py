@@ -251,7 +251,7 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
     _check_heights(rows, source)
     if len(rows) < 2:
         raise ValueError(
-            f"got {source} of the axis alone; allowed: image heights up to the corner of the die"
+            f"got {source} of the axis only; allowed: image heights up to the corner of the die"
         )
     return rows
 

@@ -192,7 +192,7 @@ def _from_cube(
         if len(outliers) > 1:
             sample_words += f" and {len(outliers) - 1} more"
         words = (
-            f"has samples that stand alone, more than {OUTLIER:g} times all others"
+            f"has isolated samples, more than {OUTLIER:g} times all others"
             f" ({sample_words}), as fireflies of a path tracer do: the automatic exposure is as if"
             " they were like their neighbours. Remove them at their source"
         )

@@ -253,7 +253,7 @@ def _without_fields(prescription: Prescription) -> Lens:
             raise invalid(
                 bare._label,
                 f"an entrance pupil {-object_mm:g} mm in front of the object",
-                "one behind the object",
+                "an entrance pupil behind the object",
             )
 
     pupil_mm = _entrance_pupil_diameter_mm(bare, focal_mm, object_mm)

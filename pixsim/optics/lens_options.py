@@ -88,7 +88,8 @@ class PrescriptionOptions(Record):
     focus_nm: Wavelength | None = Field(
         None,
         description=(
-            "wavelength of that focus, as 850 for infrared light (absent: those of the file)"
+            "wavelength of that focus, such as 850 for infrared light (absent: the wavelengths of"
+            " the file)"
         ),
     )
     ideal: Literal["distorted", "undistorted"] = Field(

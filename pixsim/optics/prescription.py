@@ -1560,7 +1560,7 @@ def _how_to_use_numbers(line: _Line) -> str:
             f"Its line states n_d and V_d: write {ready} in its place, or set lens.unknown_glass ="
             ' "model".'
         )
-    return f"Its line states no n_d and V_d of its own. {_HOW_TO_GIVE_ZMX}"
+    return f"Its line states no n_d and V_d. {_HOW_TO_GIVE_ZMX}"
 
 
 def _zmx_glass(

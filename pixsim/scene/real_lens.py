@@ -123,12 +123,8 @@ def out_of_focus() -> tuple[Decision, Note]:
     """Return the decision on the blur of things out of focus behind a real lens, and its note."""
     blur = "the disc of a thin lens and then the blur that the real lens has in focus"
     decision = Decision(
-        _DEFOCUS,
-        False,
-        f"what is out of focus gets {blur}",
-        "a trace for each depth",
-        bounded=False,
+        _DEFOCUS, False, f"objects out of focus get {blur}", "a trace for each depth", bounded=False
     )
     return decision, Note(
-        "lens_blur", words=f"what is out of focus gets {blur}; its error is not known"
+        "lens_blur", words=f"objects out of focus get {blur}; its error is not known"
     )

@@ -111,7 +111,7 @@ def dark_plate_error(distance_m: float) -> PixsimError:
         "display.white",
         f"'diffuser', but a white plate {distance_m:.4g} m before the lens, which faces it, gets no"
         " light",
-        "a scene whose lamps light what faces the lens, or an emissive chart alone",
+        "a scene whose lamps illuminate a surface that faces the lens, or an emissive chart alone",
         f"State the white: {setting('display.white_cd_per_m2')} or"
         f" {setting('display.white_w_per_m2_sr')}.",
     )

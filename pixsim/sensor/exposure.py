@@ -45,7 +45,7 @@ class Exposure(Record):
         1,
         description=(
             "subexposures that are summed in one frame; each saturates, is read out and is rounded"
-            " by itself"
+            " separately"
         ),
     )
     frame_time: Literal["shared", "each"] = Field(

@@ -43,8 +43,9 @@ class Motion(Record):
     margin_um: Annotated[float, Field(ge=0, le=1e6)] | None = Field(
         None,
         description=(
-            "width on each side of the die that is not scored, beside that of the pixels, for light"
-            " that comes from beyond it: at least half of the longest path on the sensor (absent:"
+            "width on each side of the die that is not scored, in addition to that of the"
+            " pixels, for light that"
+            " comes from beyond it: at least half of the longest path on the sensor (absent:"
             " that half). Cases with one margin score the same part"
         ),
     )

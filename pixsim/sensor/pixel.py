@@ -1053,7 +1053,7 @@ def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, flo
         raise invalid(name, got, allowed, hint)
 
     if stated and "hot_pixel_fraction" not in stated and not fraction:
-        got = "no hot_pixel_fraction beside it"
+        got = "no hot_pixel_fraction with it"
         raise invalid(f"pixel.{stated[0]}", got, "both", "Give hot_pixel_fraction, as 0.001.")
     return fraction, median, spread
 

@@ -501,7 +501,7 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
     if number > MAX_CASES:
         raise invalid(
             "axis",
-            f"{number} cases, all values of all axes",
+            f"{number} cases, from all values of all axes",
             f"at most {MAX_CASES}",
             "Give fewer values.",
         )

@@ -265,7 +265,7 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
                 setting("metric.detectability.without"),
                 f"{', '.join(unknown)}, which {request.scene.path.name} does not have",
                 f"parameters of the scene ({', '.join(sorted(scene_names))}), or a scene",
-                "Take the scene target, or state another scene without what is to be found.",
+                "Take the scene target, or state another scene without the target.",
             )
         scene = request.scene.with_parameters(**stated)
 

@@ -569,7 +569,7 @@ def _group_of(
 def _check_display_and_scene(display: Display, scene: str) -> None:
     """Raise PixsimError for a display of each sensor's own, and for a picture as the scene."""
     if display.raster != "fixed_size":
-        got = f"'{display.raster}', which gives each sensor a display of its own"
+        got = f"'{display.raster}', which gives each sensor its own display"
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
     if is_picture(scene):
         allowed = "a Mitsuba scene, which each sensor sees through its own lens"

@@ -177,7 +177,7 @@ def _check_unique_names(kind: str, names: Sequence[str]) -> None:
     """Raise ValueError for a name that stands twice."""
     for number, name in enumerate(names):
         if name in names[:number]:
-            raise ValueError(f"{kind}: '{name}' stands there twice; allowed: each name once")
+            raise ValueError(f"{kind}: '{name}' occurs twice; allowed: each name once")
 
 
 def _as_paths(value: object) -> object:
@@ -332,8 +332,8 @@ class Axis(Record):
     range_of: str | None = Field(
         None,
         description=(
-            "a number of the technologies, as dark_current_na_per_cm2; its values are the ends of"
-            " its range, in all technologies together and in each alone"
+            "a number of the technologies, such as dark_current_na_per_cm2; its values are the ends"
+            " of its range, in all technologies together and in each alone"
         ),
     )
     alone: bool = Field(
@@ -397,7 +397,7 @@ class Axis(Record):
         labels = [point.label for point in self.points]
         if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
             raise ValueError(
-                f"values: {labels[twice[0]]} stands there twice; allowed: values that differ in 4"
+                f"values: {labels[twice[0]]} occurs twice; allowed: values that differ in 4"
                 " digits, or labels"
             )
         return self
@@ -576,7 +576,7 @@ class Study(Setting):
     max_evaluations: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
         None,
         description=(
-            "largest number of frames in all, for target_ci_um (absent: max_repeats per initial"
+            "largest total number of frames, for target_ci_um (absent: max_repeats per initial"
             " pixel size and technology)"
         ),
     )
@@ -976,7 +976,7 @@ def _settings_of_sensor(
         raise invalid(
             "pixel.pitch_um",
             f"'{pixel_options['pitch_um']}' for a study",
-            "the pitch of a data sheet: a study has sizes of its own",
+            "the pitch of a data sheet: a study states its pixel sizes",
             "Set pitch.min_um, pitch.max_um or pitch.values_um.",
         )
     if settings.camera.pixels:
@@ -1171,7 +1171,7 @@ def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
             raise invalid(
                 "--axis",
                 f"'{text}'",
-                "NAME=v1,v2,… or NAME=from:to:count, as in --axis camera.f_number=2,2.8,4",
+                "NAME=v1,v2,… or NAME=from:to:count, such as --axis camera.f_number=2,2.8,4",
             )
         if name in names:
             raise invalid(
@@ -1212,7 +1212,7 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
             raise invalid(
                 "--axis",
                 f"'{text}'",
-                "numbers in from:to:count, as in --axis camera.f_number=2:8:5:log",
+                "numbers in from:to:count, such as --axis camera.f_number=2:8:5:log",
             ) from None
         if ends[3:] and ends[3] not in ("log", "linear"):
             raise invalid("--axis", f"'{text}'", "log or linear after from:to:count")
@@ -1222,7 +1222,7 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
         raise invalid(
             "--axis",
             f"'{text}'",
-            "a value on both sides of every comma, as in --axis camera.f_number=2,2.8,4",
+            "a value on both sides of every comma, such as --axis camera.f_number=2,2.8,4",
         )
     return {"values": [_value(part) for part in parts]}
 

@@ -628,7 +628,7 @@ def study(
         raise invalid(
             "without",
             "a value without light",
-            f"light beside it; of a scene, {setting('metric.detectability.without')}",
+            f"light as well; for a scene, {setting('metric.detectability.without')}",
         )
     options = {
         "config": config,

@@ -368,7 +368,7 @@ def _check_room(chain: ImagingChain, moving: Moving) -> None:
 
         time = exposure_time(chain.exposure.integration_s or 0)
         got = f"a path of {2 * needed_um:.4g} µm on the sensor in {time}"
-        allowed = f"at most {2 * room_um:.4g} µm, twice what is left on each side of what is scored"
+        allowed = f"at most {2 * room_um:.4g} µm, twice the margin on each side of the scored area"
         slower = f"slow it down ({', '.join(VELOCITIES)})"
         hint = (
             f"Raise {setting('motion.margin_um')}, shorten"

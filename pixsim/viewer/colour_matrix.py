@@ -171,8 +171,8 @@ def fit_matrix(
     if rank < 3:
         got = f"{responses.shape[1]} channels of rank {rank} over {len(responses)} patches"
         hint = (
-            "The light tells too few channels apart. Choose a lamp with a broader spectrum, or"
-            " other filters."
+            "The responses of the channels are not independent in this light. Choose a lamp with a"
+            " broader spectrum, or other filters."
         )
         raise invalid("responses", got, "three or more independent channels", hint)
     if method == "least_squares":

@@ -165,7 +165,7 @@ def _checked_tone(rows: _ToneTable, source: str) -> _ToneTable:
                 " stays brighter"
             )
     if rows[0][1] == rows[-1][1]:
-        raise ValueError(f"got {source} of one value, {rows[0][1]:g}; allowed: values that rise")
+        raise ValueError(f"got {source} of one value, {rows[0][1]:g}; allowed: increasing values")
     return rows
 
 

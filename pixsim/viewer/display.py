@@ -269,7 +269,7 @@ def dot_edges_um(
             f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm:"
             f" {amount(math.prod(counts))} dots"
         )
-        raise invalid("display.dots", got, f"at most {amount(MAX_PIXELS)} dots in all")
+        raise invalid("display.dots", got, f"at most {amount(MAX_PIXELS)} dots in total")
 
     edges = []
     for length_um, count in zip(size_um, counts, strict=True):

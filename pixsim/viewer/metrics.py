@@ -211,7 +211,7 @@ def user_metric(function: Callable[[Score], float], name: str = "") -> Metric:
         raise invalid(
             "metrics",
             f"{function!r:.80}",
-            "a function with a name, which is that of its column: not a lambda",
+            "a named function, not a lambda: its name becomes that of a column",
         )
     better: Literal["less", "more"] = getattr(function, "better", "less")
     if better not in ("less", "more"):

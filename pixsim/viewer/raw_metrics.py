@@ -924,7 +924,7 @@ def _niirs(under_test: FrameUnderTest) -> tuple[float]:
             f"{rounded(brighter_e, 3)} e- of the brighter surface in pixels of"
             f" {readout.physics.pitch_um:g} µm, full at {rounded(saturation_e, 3)} e-"
         )
-        allowed = "surfaces that the frame tells apart"
+        allowed = "surfaces that the frame distinguishes"
         raise NoNumberError(
             str(invalid("the metric niirs", got, allowed, "Expose it for less time."))
         )

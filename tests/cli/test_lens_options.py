@@ -32,7 +32,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"file": "phone"},
         {"focal_length_mm": 4.0},
-        "camera.focal_length_mm: got a value beside lens.file = 'phone'",
+        "camera.focal_length_mm: got a value together with lens.file = 'phone'",
     ),
     (
         {"file": "phone"},
@@ -190,7 +190,7 @@ def test_an_option_or_a_later_file_replaces_the_thin_lens_of_a_file(folder: Path
     option = "--camera.focal-length-mm 4"
     for words in ("--config both.toml", f"--lens phone {option}", f"--config lens.toml {option}"):
         assert_named(
-            "camera.focal_length_mm: got a value beside lens.file = '", f"{PLAN} 8 {words}"
+            "camera.focal_length_mm: got a value together with lens.file = '", f"{PLAN} 8 {words}"
         )
 
 

@@ -130,7 +130,7 @@ def test_write_npz_image_reads_back_bit_for_bit(tmp_path):
     image = own_image()
     image.data.flat[:3] = 0.0, 1e-42, 3e38
     pixsim.write_npz(tmp_path / "image.npz", image)
-    with pytest.warns(UserWarning, match="stand alone"):
+    with pytest.warns(UserWarning, match="isolated samples"):
         back = pixsim.read_irradiance(tmp_path / "image.npz")
     assert back.header.pop(OUTLIERS) == [[0, 0]]
     assert np.array_equal(bits(back.data), bits(image.data))
@@ -556,7 +556,7 @@ def test_outlier_of_one_sample_is_named_and_does_not_set_the_exposure():
     """
     camera = pixsim.Camera(focal_length_mm=4.0, die_mm=0.2)
     with pytest.warns(
-        UserWarning, match=r"stand alone, more than 100 times all others \(row 3, column 4\)"
+        UserWarning, match=r"isolated samples, more than 100 times all others \(row 3, column 4\)"
     ):
         image = pixsim.read_irradiance(CASES / "18-exr-nan-inf/firefly.exr", camera)
     pixel, display = (

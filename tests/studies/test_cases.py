@@ -118,7 +118,7 @@ EACH = "allowed: a number, a name, or a table of label and set"
     [
         ({}, r"missing: from .*, to, count; allowed: values = \[...\], or from, to and count"),
         ({"values": []}, "values: got an empty list"),
-        ({"values": [2, 2]}, "values: 2 stands there twice"),
+        ({"values": [2, 2]}, "values: 2 occurs twice"),
         ({"values": [2], "to": 3.0}, "values and to both state the values"),
         ({"from": 0.0, "to": 3.0, "count": 3, "spacing": "log"}, "allowed: numbers above 0"),
         ({"set": "pitch.min_um", "values": [2]}, "pixel sizes are an axis of every study"),
@@ -135,11 +135,11 @@ EACH = "allowed: a number, a name, or a table of label and set"
         ({"values": [True]}, "got True; allowed: a number or a name"),
         ({"values": [""]}, EACH),
         ({"from": math.nan, "to": 3.0, "count": 3}, "finite number"),
-        ({"from": 3.0, "to": 3.0, "count": 3}, "values: 3 stands there twice"),
+        ({"from": 3.0, "to": 3.0, "count": 3}, "values: 3 occurs twice"),
         ({"from": 2.0, "to": 3.0, "count": 1}, "greater than or equal to 2"),
         (
             {"from": 2.0, "to": 2.1, "count": 900},
-            "stands there twice; allowed: values that differ in 4 digits",
+            "occurs twice; allowed: values that differ in 4 digits",
         ),
         (
             labelled("a", b={"pixel": {"prnu": None}}) | {"set": None},
@@ -148,7 +148,7 @@ EACH = "allowed: a number, a name, or a table of label and set"
         ({"values": [2], "spacing": "log"}, "values and spacing both state the values"),
         (
             {"set": None, "values": [{"label": "b", "set": {"resolution": n}} for n in (20, 30)]},
-            "values: b stands there twice",
+            "values: b occurs twice",
         ),
         ({"set": "process.0.35um.prnu", "values": [0.1]}, "process.'0.35um'.prnu"),
     ],
@@ -166,7 +166,7 @@ def hot(**pixel: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"axis": [LENS, LENS]}, "'lens' stands there twice"),
+        ({"axis": [LENS, LENS]}, "'lens' occurs twice"),
         (
             {"axis": [LENS, axis_of("N", "camera.f_number", 3)]},
             "camera.f_number is varied by 'lens' and by 'N'",
@@ -179,7 +179,7 @@ def hot(**pixel: Any) -> dict[str, Any]:
         ({"condition": [DAY | {"weight": -1.0}]}, "condition.0.weight"),
         ({"condition": [DAY | {"weight": math.nan}]}, "condition.0.weight"),
         ({"condition": [DAY | {"wieght": 2}]}, "condition.0.wieght"),
-        ({"condition": [DAY, DAY]}, "'day' stands there twice"),
+        ({"condition": [DAY, DAY]}, "'day' occurs twice"),
         ({"axis": [PRNU], "condition": [hot(prnu=0.0)]}, "pixel.prnu is varied by the axis 'PRNU'"),
         ({"axis": [PRNU], "condition": [hot(prnu_percent=1.0)]}, "pixel.prnu_percent is varied by"),
         (

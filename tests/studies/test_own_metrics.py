@@ -150,7 +150,7 @@ def returns(value, name="mine", **marks):
 @pytest.mark.parametrize(
     ("metrics", "message"),
     [
-        ([lambda score: 1.0], "a function with a name, which is that of its column: not a lambda"),
+        ([lambda score: 1.0], "a named function, not a lambda: its name becomes that of a column"),
         ([returns(1.0), returns(2.0)], "'mine' twice; allowed: metrics of different names"),
         (["delta_e", "delta_e"], "'delta_e' twice"),
         (

@@ -261,7 +261,7 @@ WRONG = {
     ),
     "a function that fails": (
         partial(denoised_plane, PLANE, 1.0, lambda _: 0),
-        "one that fails .TypeError",
+        "a function that fails .TypeError",
     ),
     "powers": (
         partial(wiener.response, PLANE, PLANE[1:]),

@@ -647,7 +647,7 @@ def test_noise_aware_matrix_knows_noise_that_linear_filters_reduce() -> None:
         ({"tone_curve": [[0, 0], [0.5, 0.7], [1, 0.6]]}, "brighter stays brighter"),
         ({"tone_curve": [[0, 0], [0.5, 0.7], [0.5, 0.8]]}, "light that rises"),
         ({"tone_curve": [[0, 0], [1, 255]]}, "Divide values of codes"),
-        ({"tone_curve": [[0, 0.5], [1, 0.5]]}, "values that rise"),
+        ({"tone_curve": [[0, 0.5], [1, 0.5]]}, "increasing values"),
         ({"tone_curve": "linear"}, "does not exist"),
     ],
 )

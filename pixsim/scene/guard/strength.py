@@ -65,5 +65,5 @@ def _unscaled(emitter: SceneElement) -> PixsimError:
         ILLUMINANCE,
         got,
         "emitters whose light is a number, a table or d65",
-        "Give its light a parameter of its own, and set that.",
+        "Give its light a separate parameter, and set that.",
     )

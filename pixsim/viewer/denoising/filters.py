@@ -138,7 +138,7 @@ def _checked(function: Denoiser) -> Denoiser:
         if (place := first_where(~np.isfinite(values))) is not None:
             raise invalid(
                 "denoise",
-                f"one that returns {values[place]} at {place}",
+                f"a function that returns {values[place]} at {place}",
                 "a function that returns finite numbers",
             )
         return np.broadcast_to(values, plane.shape)

@@ -102,7 +102,7 @@ def information_bits_per_mm2(
             raise invalid(
                 name,
                 f"an array of shape {np.shape(values)}",
-                f"({count}, {count}), as the frequencies, or a number",
+                f"({count}, {count}), like the frequencies, or a number",
             )
     with np.errstate(over="ignore"):
         ratio = np.asarray(signal, float) / (np.asarray(noise, float) + folded)
