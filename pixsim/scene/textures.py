@@ -43,7 +43,7 @@ def inspect_radiance(path: Path, what: str) -> None:
     width = int(size[2])
     if not 1 <= width * height <= MAX_PICTURE:
         raise invalid(
-            f"{what} '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all"
+            f"{what} '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in total"
         )
     check_compression(f"{what} '{path}'", 4 * width * height, stored)
 
