@@ -330,7 +330,7 @@ def study(
     scene: Annotated[
         str | None,
         Parameter(
-            help=f"{_SCENE_HELP} [default: the study's]",
+            help=f"{_SCENE_HELP} [default: from the study]",
             metavar="NAME|FILE",
             completer=common.complete_scene,
         ),
@@ -385,7 +385,7 @@ def compare(
     scene: Annotated[
         str | None,
         Parameter(
-            help=f"{_SCENE_HELP} [default: that of --study, or csf]",
+            help=f"{_SCENE_HELP} [default: from --study, or csf]",
             metavar="NAME|FILE",
             completer=common.complete_scene,
         ),
