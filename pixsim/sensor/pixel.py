@@ -1021,7 +1021,7 @@ def _offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> f
         if gate_um2 is not None:
             stated, missing = missing, stated
         hint = "Or give offset_fpn in place of both."
-        raise invalid(f"{source}{stated}", f"without {missing}", "both of them", hint)
+        raise invalid(f"{source}{stated}", f"a number, but no {missing}", "both of them", hint)
 
     if process_well.mean_ff is None:
         device = f"the pinned photodiode of {technology.name}"

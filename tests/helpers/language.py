@@ -129,7 +129,9 @@ def count(path: Path) -> Counter[str]:
             "inside": inside,
             "wide": sum(len(line) > WIDTH for line in text.splitlines()),
             "words": sum(len(text.split()) for text in documentation),
-            "references": sum(len(REFERENCES.findall(text)) for text in documentation),
+            "references": sum(
+                len(REFERENCES.findall(" ".join(text.split()))) for text in documentation
+            ),
         }
     )
 

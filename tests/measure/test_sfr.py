@@ -463,7 +463,9 @@ def test_clipping_without_noise_shows_by_its_kink(name: str, share: float, is_da
     """At 95 and 60 % of the step, where the MTF50 is 10 and 62 % too high."""
     picture = edge_of_levels(name, share, is_dark)
     side = "dark" if is_dark else "bright"
-    with pytest.raises(PixsimError, match=f"a {side} side at exactly .* this is clipped"):
+    with pytest.raises(
+        PixsimError, match=f"a {side} side at exactly .* an edge that is clipped on neither side"
+    ):
         edge_response(picture)
     with pytest.warns(UserWarning, match=f"a {side} side at exactly .* as if it were clipped"):
         edge_response(picture, is_unclipped=True)
@@ -472,7 +474,7 @@ def test_clipping_without_noise_shows_by_its_kink(name: str, share: float, is_da
 @pytest.mark.parametrize("channel", ["R", "G", "luminance"])
 def test_clipping_of_a_mosaic_without_noise_shows_by_its_kink(channel: str) -> None:
     picture = mosaic("RG/GB", np.minimum(gaussian_edge(), 0.7 * LIGHT))
-    with pytest.raises(PixsimError, match="this is clipped"):
+    with pytest.raises(PixsimError, match="an edge that is clipped on neither side"):
         edge_response(picture, layout="RG/GB", channel=channel)
 
 

@@ -777,10 +777,10 @@ def test_derive_pixel_replaces_mismatch_of_technology() -> None:
                 r" most 1\.09, or"
             ),
         ),
-        ({"a_vt_mv_um": 8.0}, r"pixel\.a_vt_mv_um: got without follower_area_um2"),
+        ({"a_vt_mv_um": 8.0}, r"pixel\.a_vt_mv_um: got a number, but no follower_area_um2"),
         (
             {"follower_area_um2": 0.5},
-            r"pixel\.follower_area_um2: got without a_vt_mv_um.*Or give offset_fpn",
+            r"pixel\.follower_area_um2: got a number, but no a_vt_mv_um.*Or give offset_fpn",
         ),
         (
             {"a_vt_mv_um": 8, "follower_area_um2": 1, "technology": "4t-bsi"},

@@ -139,7 +139,7 @@ def test_neq_of_shot_noise_is_the_quanta():
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    ({"frequency_cy_per_mm": np.linspace(1.0, 100.0, 5)}, "frequency_cy_per_mm: got 5 from 1 to 100; allowed: rising .*fftfreq"),
+    ({"frequency_cy_per_mm": np.linspace(1.0, 100.0, 5)}, "frequency_cy_per_mm: got 5 from 1 to 100; allowed: increasing .*fftfreq"),
     ({"frequency_cy_per_mm": np.array([0.0, 2.0, 1.0, 3.0, 4.0])}, "frequency_cy_per_mm"),
     ({"frequency_cy_per_mm": np.zeros(5)}, "frequency_cy_per_mm"),
     ({"frequency_cy_per_mm": np.zeros(1)}, "frequency_cy_per_mm"),
