@@ -691,14 +691,16 @@ def _decide_light(
 def _rank_reason(lights: Sequence[_FittedLamp], surfaces: Surfaces, full: bool) -> str:
     """Return why so many pulses are rendered."""
     pulses = " and ".join(str(len(light.fit.pulses)) for light in lights)
-    reason = f"pulses of {len(lights)} lamp spectra: {pulses}"
+    spectra = "1 lamp spectrum" if len(lights) == 1 else f"{len(lights)} lamp spectra"
+    reason = f"{pulses} pulses for {spectra}"
     if full:
         return f"{reason}, since nothing is left out"
     if any(light.lamp.spectrum is None for light in lights):
         return f"{reason}, since the colour of a lamp varies over it"
     if surfaces.spectra is None:
         return f"{reason}, one for each band, because of {surfaces.unknown}"
-    return f"{reason}, which determine all bands for {len(surfaces.spectra)} surface spectra"
+    count = len(surfaces.spectra)
+    return f"{reason} determine all bands of {count} surface spectr{'um' if count == 1 else 'a'}"
 
 
 def make_plan(
