@@ -189,7 +189,8 @@ def _code_cause(
         return None
     brighter = f"light, time or gain ({setting('exposure.gain_db')})"
     hint = (
-        f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or less black level"
+        f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or a lower black"
+        " level"
     )
     if codes >= _MIN_CODES:
         return Cause(
