@@ -245,7 +245,7 @@ def test_table_of_relative_illumination_replaces_the_fall_off() -> None:
         ({"relative_illumination": [[0, 0.9], [2, 0.5]]}, "0.9 on the axis; allowed: 1 there"),
         ({"relative_illumination": [[1, 0.9], [0.5, 0.5]]}, "heights that increase"),
         ({"relative_illumination": [[1, 90.0]]}, "Divide percentages by 100"),
-        ({"relative_illumination": [[0, 1]]}, "the axis alone"),
+        ({"relative_illumination": [[0, 1]]}, "the axis only"),
         (
             {"relative_illumination": [[1.0, 0.9]]},
             "ends at an image height of 1 mm; allowed: up to the corner",
