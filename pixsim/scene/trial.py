@@ -14,16 +14,16 @@ import sys
 import time
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError
-from pixsim.optics.camera import Camera
-from pixsim.optics.thin_lens import field_factor
-from pixsim.scene import charts
+
+if TYPE_CHECKING:
+    from pixsim.optics.camera import Camera
 
 CODE = "import sys; sys.path[:] = {path!r}; from pixsim.scene.trial import main; main({variant!r})"
 SCENE = "csf"
@@ -115,6 +115,10 @@ def closed_form_lx(camera: Camera, resolution: int) -> Array:
     """Illuminance on the sensor, (H, W) lx, from the formula of the chart and Foote's factor,
     without Mitsuba or textures.
     """
+    # Every child that traces a scene imports this module, and needs neither.
+    from pixsim.optics.thin_lens import field_factor
+    from pixsim.scene import charts
+
     x = (np.arange(resolution * POINTS) + 0.5) / (resolution * POINTS)
     chart = charts.csf_value(x, x[:, None], camera.die_mm)
     cells = chart.reshape(resolution, POINTS, resolution, POINTS).mean(axis=(1, 3))
