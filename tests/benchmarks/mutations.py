@@ -1,0 +1,248 @@
+"""Does the suite notice wrong arithmetic? `python tests/benchmarks/mutations.py --count 60 --seed 62`
+
+Draws lines with arithmetic from light/, optics/, sensor/ and viewer/, changes one thing on each in a
+copy of the checkout (a sign, a factor 2, an off-by-one, a swapped axis), and runs the tests that
+reach the line until one fails. Prints each mutation with the test that caught it, or SURVIVED.
+
+Which tests reach a line stands in a coverage file with contexts, if there is one:
+
+    COVERAGE_FILE=reach.coverage python -m coverage run --rcfile=tests/benchmarks/coverage.toml -m pytest
+    COVERAGE_FILE=reach.coverage python -m coverage combine
+    python tests/benchmarks/mutations.py --reach reach.coverage
+
+Without it `--tests FOLDER…` says which tests run. Mutations that change no result beyond rounding
+stand in SAME_RESULT with the reason, and are drawn again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = ["light", "optics", "sensor", "viewer"]
+TIMEOUT_S = 900.0
+SWAPPED = {
+    ast.Add: (b"+", b"-"),
+    ast.Sub: (b"-", b"+"),
+    ast.Mult: (b"*", b"/"),
+    ast.Div: (b"/", b"*"),
+}
+Reach = dict[tuple[str, int], set[str]]  # tests by file and line
+# (file, code before, code after): why no result changes beyond rounding
+SAME_RESULT: dict[tuple[str, str, str], str] = {}
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A piece of a source file, in bytes from its beginning, and what replaces it."""
+
+    path: str
+    line: int
+    kind: str
+    start: int
+    end: int
+    before: str
+    after: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line} {self.kind}: {self.before} -> {self.after}"
+
+
+def mutations_of_file(path: Path) -> Iterator[Mutation]:
+    """Every possible change of a file's arithmetic: no texts, annotations, defaults of fields."""
+    source = path.read_bytes()
+    name = str(path.relative_to(ROOT))
+    lengths = [0]
+    for line in source.splitlines(keepends=True):
+        lengths.append(lengths[-1] + len(line))
+
+    def offsets(node: ast.expr) -> tuple[int, int]:
+        assert node.end_lineno is not None
+        assert node.end_col_offset is not None
+        start = lengths[node.lineno - 1] + node.col_offset
+        return start, lengths[node.end_lineno - 1] + node.end_col_offset
+
+    def change(node: ast.expr, kind: str, after: str) -> Mutation:
+        start, end = offsets(node)
+        before = source[start:end].decode()
+        return Mutation(
+            name, node.lineno, kind, start, end, before, after.replace("EXPRESSION", before)
+        )
+
+    for node in ast.walk(_arithmetic(ast.parse(source))):
+        if isinstance(node, ast.BinOp) and type(node.op) in SWAPPED and not _is_text(node):
+            sign, other = SWAPPED[type(node.op)]
+            start, end = offsets(node)
+            left, right = offsets(node.left)[1], offsets(node.right)[0]
+            between = source[left:right].replace(sign, other, 1)
+            swapped = source[start:left] + between + source[right:end]
+            yield change(node, "sign" if sign in b"+-" else "factor", swapped.decode())
+            yield change(node, "factor 2", "(2 * (EXPRESSION))")
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            yield change(node, "sign", "(-(EXPRESSION))")
+        elif isinstance(node, ast.Slice):
+            for bound in filter(None, (node.lower, node.upper)):
+                yield change(bound, "off by one", "(EXPRESSION) + 1")
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "range":
+            if isinstance(node.args[-1], ast.Starred):
+                continue
+            yield change(node.args[-1], "off by one", "(EXPRESSION) + 1")
+        elif isinstance(node, ast.keyword) and node.arg == "axis":
+            yield change(
+                node.value, "swapped axis", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[EXPRESSION]"
+            )
+        elif isinstance(node, ast.Attribute) and node.attr == "T":
+            yield change(node, "swapped axis", "EXPRESSION.T")
+
+
+def _arithmetic(tree: ast.Module) -> ast.Module:
+    """Return the tree without annotations, decorators and what errors and assertions say."""
+
+    class Texts(ast.NodeTransformer):
+        def visit_Raise(self, _: ast.Raise) -> None: ...
+        def visit_Assert(self, _: ast.Assert) -> None: ...
+        def visit_JoinedStr(self, _: ast.JoinedStr) -> ast.Constant:
+            return ast.Constant("")
+
+        def visit_arg(self, node: ast.arg) -> ast.arg:
+            node.annotation = None
+            return node
+
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns, node.decorator_list = None, []
+        elif isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Name("object")
+    changed = Texts().visit(tree)
+    assert isinstance(changed, ast.Module)
+    return changed
+
+
+def _is_text(node: ast.BinOp) -> bool:
+    """Texts, lists and paths have + and / too."""
+    sides = [side for side in ast.walk(node) if not isinstance(side, ast.BinOp | ast.operator)]
+    return any(
+        isinstance(side, ast.List | ast.ListComp | ast.Tuple)
+        or (isinstance(side, ast.Constant) and isinstance(side.value, str))
+        for side in sides
+    )
+
+
+def drawn(rooms: list[str], seed: int) -> Iterator[Mutation]:
+    """Mutations in random order, one a line."""
+    possible: dict[tuple[str, int], list[Mutation]] = {}
+    for room in rooms:
+        for path in sorted((ROOT / "pixsim" / room).glob("**/*.py")):
+            for mutation in mutations_of_file(path):
+                possible.setdefault((mutation.path, mutation.line), []).append(mutation)
+    generator = random.Random(seed)
+    lines = sorted(possible)
+    generator.shuffle(lines)
+    for line in lines:
+        mutation = generator.choice(possible[line])
+        if (mutation.path, mutation.before, mutation.after) not in SAME_RESULT:
+            yield mutation
+
+
+def reach(path: Path | None) -> Reach:
+    """Return tests (`file.py::test`) by file and line, of a coverage file with contexts."""
+    tests: Reach = {}
+    if path is None:
+        return tests
+    from coverage import CoverageData
+
+    data = CoverageData(str(path))
+    data.read()
+    for measured in data.measured_files():
+        name = "pixsim/" + measured.rpartition("/pixsim/")[2]
+        for line, contexts in data.contexts_by_lineno(measured).items():
+            tests[name, line] = {test for test in map(_test_name, contexts) if test}
+    return tests
+
+
+def _test_name(context: str) -> str:
+    """Return `tests/room/test_x.py::test_y` for `tests.room.test_x.test_y`; "" for none."""
+    module, _, function = context.rpartition(".")
+    path = module.replace(".", "/") + ".py"
+    return f"{path}::{function}" if (ROOT / path).is_file() else ""
+
+
+def first_failure(copy: Path, tests: list[str]) -> str:
+    """Return the first test that fails in a copy of the checkout, or ""."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider"]
+    environment = {**os.environ, "PYTHONPATH": str(copy), "PIXSIM_CACHE_DIR": str(copy / "cache")}
+    try:
+        done = subprocess.run(
+            [*command, *tests], cwd=copy, env=environment, capture_output=True, text=True,
+            timeout=TIMEOUT_S,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"no end within {TIMEOUT_S:.0f} s"
+    failures = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    if failures:
+        return failures[0]
+    return "" if done.returncode in (0, 5) else f"pytest ended with {done.returncode}"
+
+
+def tests_by_room(mutation: Mutation, tests: set[str]) -> list[list[str]]:
+    """Return the tests of the mutation's room, then all others, at most a thousand a command."""
+    folder = f"tests/{mutation.path.split('/')[1]}/"
+    near = sorted(test for test in tests if test.startswith(folder))
+    far = sorted(tests - set(near))
+    return [
+        group[start : start + 1000] for group in (near, far) for start in range(0, len(group), 1000)
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=62)
+    parser.add_argument("--rooms", nargs="+", default=ROOMS)
+    parser.add_argument("--reach", type=Path)
+    parser.add_argument("--tests", nargs="+", default=["tests"])
+    arguments = parser.parse_args()
+
+    reached = reach(arguments.reach)
+    caught = 0
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "pixsim"
+        listed = subprocess.run(
+            ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        for name in listed.stdout.splitlines():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, copy / name)
+        mutations = drawn(arguments.rooms, arguments.seed)
+        for number, mutation in zip(range(1, arguments.count + 1), mutations, strict=False):
+            start_s = time.perf_counter()
+            target = copy / mutation.path
+            source = target.read_bytes()
+            changed = source[: mutation.start] + mutation.after.encode() + source[mutation.end :]
+            target.write_bytes(changed)
+            groups = [arguments.tests]
+            if reached:
+                groups = tests_by_room(mutation, reached.get((mutation.path, mutation.line), set()))
+            failure = next(filter(None, (first_failure(copy, group) for group in groups)), "")
+            target.write_bytes(source)
+            caught += bool(failure)
+            seconds = time.perf_counter() - start_s
+            print(f"{number} {mutation}\n    {failure or 'SURVIVED'} ({seconds:.0f} s)", flush=True)
+    print(f"{caught} of {arguments.count} caught")
+
+
+if __name__ == "__main__":
+    main()
