@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 UNKNOWN = "–"
-_MAX_DISTINCT_DIGITS = 17  # which tell any two floats apart
+_MAX_DISTINCT_DIGITS = 15  # of any decimal number that a float gives back
 MAX_DIGITS = 4  # of a number with an error
 _ONE_DIGIT_ERRORS = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
 _MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
@@ -293,11 +293,11 @@ def distinct_texts(value: float, limit: float, digits: int = 2) -> tuple[str, st
 
     >>> distinct_texts(0.2013, 0.2), distinct_texts(0.31, 0.2), distinct_texts(0.2, 0.2)
     (('0.201', '0.2'), ('0.31', '0.2'), ('0.2', '0.2'))
-    >>> distinct_texts(13.2, 0.2, 1)
-    ('10', '0.2')
+    >>> distinct_texts(13.2, 0.2, 1), distinct_texts(1.0000000000000002, 1.0)
+    (('10', '0.2'), ('1.0000000000000002', '1.0'))
     """
     for count in range(digits, _MAX_DISTINCT_DIGITS + 1):
         texts = rounded(value, count), rounded(limit, count)
         if value == limit or float(texts[0]) != float(texts[1]):
             return texts
-    return texts
+    return repr(float(value)), repr(float(limit))  # neighbours among floats

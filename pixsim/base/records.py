@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Iterable, Sequence
 from functools import reduce
@@ -22,6 +20,7 @@ from pydantic import (
 
 from pixsim.base.bounds import LARGEST, SMALLEST, is_bool, parts_of, value_text
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.layers import Layer, merge_tables
 from pixsim.base.problems import MAX_VALUE, RECORDS, explain
 
@@ -139,12 +138,6 @@ def restated_by(record: type[Record], names: Iterable[str]) -> set[str]:
         if len(others) < len(group):
             restated.update(*others)
     return restated
-
-
-def content_hash(content: object) -> str:
-    """Hash of JSON content, independent of the order of keys: BLAKE2b, 16 hexadecimal digits."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 # A number without bounds of its own: what uses it has them

@@ -18,10 +18,10 @@ import numpy as np
 
 from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Progress
-from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE, packaged
 from pixsim.explorer.controls import (
     LENS,

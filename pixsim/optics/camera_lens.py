@@ -24,8 +24,8 @@ from pydantic import TypeAdapter, ValidationError
 from pixsim.base import cache
 from pixsim.base.arrays import MIN_THREADED_NUMBERS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
-from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.diffraction import white_otf

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.records import content_hash
+from pixsim.base.hashes import content_hash
 from pixsim.base.tables import Column, columns_of
 from pixsim.base.units import unit_of
 from pixsim.report.curve import closed_range, fitted_at, fresnel_column, range_columns

@@ -20,8 +20,9 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, UnitIntervals
 from pixsim.base.bounds import SMALLEST, Axes, Bounds, value_text
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.locks import temporary_folder_of_process
-from pixsim.base.records import UnitInterval, content_hash
+from pixsim.base.records import UnitInterval
 from pixsim.light.exr import fill_channels, write_channels, writing
 from pixsim.optics.quantities import DieWidth
 from pixsim.scene.target import Target

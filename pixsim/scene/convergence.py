@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
 from pixsim.base.digits import amount, distinct_texts
+from pixsim.base.hashes import content_hash
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress, share_of
-from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.scene.job import OutOfTimeError

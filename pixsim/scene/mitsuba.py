@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.records import content_hash
+from pixsim.base.hashes import content_hash
 from pixsim.light.spectral import VISIBLE, Span, grid_nm
 from pixsim.scene.variants import graphics
 from pixsim.scene.variants.variant import UNUSABLE_HINT

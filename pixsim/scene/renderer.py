@@ -19,9 +19,9 @@ from pixsim.base import cache, mapped
 from pixsim.base.arrays import Array, strips
 from pixsim.base.bounds import Whole
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.mapped import release, zeros
 from pixsim.base.progress import Progress
-from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
 from pixsim.light.quantities import LUMINANCE
 from pixsim.light.spectral import (

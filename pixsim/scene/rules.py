@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.digits import percent
+from pixsim.base.hashes import content_hash
 from pixsim.base.mapped import release, zeros
-from pixsim.base.records import content_hash
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffract

@@ -17,8 +17,8 @@ from pixsim.base.bounds import LARGEST, SMALLEST, value_text
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import cache_folder, digest_of, missing
+from pixsim.base.hashes import content_hash
 from pixsim.base.problems import names_meant
-from pixsim.base.records import content_hash
 from pixsim.light.quantities import EMITTER_SCALE, ILLUMINANCE, LUMINANCE, FilmSamples
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry

@@ -15,7 +15,7 @@ import numpy as np
 from pixsim.base import cache
 from pixsim.base.bounds import LARGEST
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, quoted
-from pixsim.base.records import content_hash
+from pixsim.base.hashes import content_hash
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.light.tables import unit_hint
 from pixsim.scene.mitsuba import parse

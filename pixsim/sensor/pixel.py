@@ -21,7 +21,8 @@ from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.bounds import NotNegative, Positive, Whole, check_broadcast
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.records import UnitInterval, content_hash, restated_by
+from pixsim.base.hashes import content_hash
+from pixsim.base.records import UnitInterval, restated_by
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S

@@ -22,9 +22,9 @@ from pydantic import ValidationError
 from pixsim.base import cache
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
 from pixsim.base.problems import explain
-from pixsim.base.records import content_hash
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera

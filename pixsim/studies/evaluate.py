@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache
+from pixsim.base.hashes import content_hash
 from pixsim.base.progress import Progress
-from pixsim.base.records import content_hash
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in

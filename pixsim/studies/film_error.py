@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, PARTS, Array, Item, in_threads, spread_parts, stream
 from pixsim.base.errors import invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, share_of, steps_of
-from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, tiling_of
 from pixsim.optics.veil import with_veil_of_whole

@@ -16,9 +16,9 @@ import numpy as np
 
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.progress import Progress, Stage, share_of
-from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import rendered_camera

@@ -22,8 +22,9 @@ from typing import Any, Generic, TypeVar
 from pixsim.base.caller import setting
 from pixsim.base.digits import amount
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
-from pixsim.base.records import Record, content_hash
+from pixsim.base.records import Record
 from pixsim.base.schema import KEY
 from pixsim.base.toml import whole_path
 from pixsim.light.spectral import SpectralImage

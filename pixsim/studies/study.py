@@ -20,10 +20,10 @@ from pixsim.base.bounds import Jobs
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
+from pixsim.base.hashes import content_hash
 from pixsim.base.layers import listed
 from pixsim.base.notes import Note, collected_notes, first_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
-from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile

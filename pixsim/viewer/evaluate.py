@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pixsim.base.bounds import Whole
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
-from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import Correction

@@ -14,7 +14,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.records import content_hash
+from pixsim.base.hashes import content_hash
 from pixsim.light.spectral import SpectralImage, without_outliers
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import Collection, ColourCollection, collected_area_um2

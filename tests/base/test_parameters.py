@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from pixsim.base.errors import PixsimError
+from pixsim.base.hashes import content_hash
 from pixsim.base.problems import explain
-from pixsim.base.records import content_hash
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import TracedLens
 from pixsim.sensor.exposure import Exposure

@@ -17,7 +17,6 @@ import numpy as np
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory, text_of
-from pixsim.scene.guard.files import escaped
 from pixsim.scene.job import MESHES, AssetFile, TraceJob
 from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.textures import check_texels, has_floats
@@ -76,6 +75,9 @@ def check_files(job: TraceJob) -> list[float]:
         try:
             highest.append(_highest(job.variant, file))
         except (PixsimError, MemoryError) as error:
+            # Readers of scenes, which a child that traces does not need, take 10 ms to import.
+            from pixsim.scene.guard.files import escaped
+
             lines = job.text.splitlines()
             line = next(
                 number for number, text in enumerate(lines, 1) if escaped(file.path) in text

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pixsim.base import cache, machine
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
-from pixsim.base.records import content_hash
 from pixsim.scene.trial import trial_render
 
 CUDA = "cuda_ad_spectral"

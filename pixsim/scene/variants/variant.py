@@ -19,8 +19,8 @@ from pathlib import Path
 
 from pixsim.base import cache
 from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
-from pixsim.base.records import content_hash
 from pixsim.scene.variants import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
