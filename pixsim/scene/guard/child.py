@@ -1,8 +1,9 @@
 """Trace scenes that are not pixsim's own in a child process: it can be killed where Mitsuba crashes
 or finds no end.
 
-One child serves all renders of a process and ends with it. Requests and replies are lines of JSON;
-the numbers of a picture follow its reply. Nothing that the child sends is run or unpickled.
+One child serves all renders of a process and ends with it. Requests are pickled dictionaries;
+replies are lines of JSON, and the numbers of a picture follow its reply. Nothing that the child
+sends is run or unpickled.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import pickle
 import select
 import signal
 import subprocess
@@ -18,7 +20,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +120,7 @@ class _Child:
         Raises PixsimError if the child reports an error, crashes or takes too long.
         """
         try:
-            self._send(json.dumps(request).encode() + b"\n", ends_at_s)
+            self._send(pickle.dumps(request), ends_at_s)
             reply = json.loads(self._line(ends_at_s))
             if "error" in reply:
                 raise _ReportedError(str(reply["error"]))
@@ -146,8 +147,8 @@ class _Child:
         except subprocess.TimeoutExpired:
             return None
 
-    def _send(self, line: bytes, ends_at_s: float | None) -> None:
-        left = memoryview(line)
+    def _send(self, message: bytes, ends_at_s: float | None) -> None:
+        left = memoryview(message)
         os.set_blocking(self.requests, False)
         while left:
             self._wait([], [self.requests], ends_at_s)
@@ -266,7 +267,7 @@ class ChildTracer:
         with child.lock:
             if child.loaded is not self.job:
                 child.loaded = None
-                reply = child.ask({"job": asdict(self.job)}, self.ends_at_s())
+                reply = child.ask({"job": self.job}, self.ends_at_s())
                 for file, highest in zip(self.job.files, reply["highest"], strict=True):
                     check_share(float(highest), file.share, f"'{Path(file.path).name}'")
                 child.loaded = self.job

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import sys
 import warnings
@@ -13,19 +14,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
 from pixsim.base.errors import PixsimError
 from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.guard.loaded import check_files, limit_memory
-from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba
 
 _LACKS_MEMORY = (
     "the scene needs more memory than it may have; take smaller meshes and pictures, or a coarser"
     " film"
 )
-_JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
 
 
 Picture = NDArray[np.float32]
@@ -38,7 +36,7 @@ def answer(
     it.
     """
     if "job" in request:
-        job = _JOBS.validate_python(request["job"])
+        job = request["job"]
         import_mitsuba(job.variant)
         limit_memory(job)
         highest = check_files(job)
@@ -81,11 +79,11 @@ def main(requests: int, replies: int, life: int) -> None:
     _end_with_parent(life)
     warnings.simplefilter("ignore")  # the parent has given them
     tracer: InProcessTracer | None = None
-    with os.fdopen(requests, "rb") as lines, os.fdopen(replies, "wb") as out:
-        for line in lines:
+    with os.fdopen(requests, "rb") as source, os.fdopen(replies, "wb") as out:
+        while source.peek():
             picture: Picture | None = None
             try:
-                tracer, reply, picture = answer(tracer, json.loads(line))
+                tracer, reply, picture = answer(tracer, pickle.load(source))
             except PixsimError as error:
                 reply = {"error": str(error).replace("std::bad_alloc", _LACKS_MEMORY)}
             except MemoryError:
