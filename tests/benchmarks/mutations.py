@@ -6,7 +6,7 @@ reach the line until one fails. Prints each mutation with the test that caught i
 
 Which tests reach a line stands in a coverage file with contexts, if there is one:
 
-    COVERAGE_FILE=reach.coverage python -m coverage run --rcfile=tests/benchmarks/coverage.toml -m pytest
+    COVERAGE_FILE=reach.coverage python -m coverage run --rcfile=tests/benchmarks/coverage.ini -m pytest
     COVERAGE_FILE=reach.coverage python -m coverage combine
     python tests/benchmarks/mutations.py --reach reach.coverage
 
