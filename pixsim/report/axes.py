@@ -66,7 +66,9 @@ def _reported_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     condition, at most 4.
     """
     first = cases[0]
-    same_values = [case for case in cases if (case.at, case.alone) == (first.at, first.alone)]
+    same_values = [
+        case for case in cases if (case.at, case.one_at_a_time) == (first.at, first.one_at_a_time)
+    ]
     return same_values[:_MAX_CASE_REPORTS]
 
 

@@ -130,17 +130,17 @@ def size_maps(
 class Evidence:
     """A study and the ΔE maps with which the statements are checked.
 
-    made : `size_maps` of the pixel sizes of Figure 6, if workers have made them
+    computed_sizes : `size_maps` of the pixel sizes of Figure 6, if workers have computed them
     """
 
     result: StudyResult
     curves: dict[str, Curve] = field(repr=False)
-    made: Mapping[float, SizeMaps] = field(repr=False, default_factory=dict)
+    computed_sizes: Mapping[float, SizeMaps] = field(repr=False, default_factory=dict)
 
     @cached_property
     def sizes(self) -> Mapping[float, SizeMaps]:
         """Pitch -> ΔE maps."""
-        return self.made or {
+        return self.computed_sizes or {
             pitch_um: size_maps(self.result, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM
         }
 
@@ -379,28 +379,31 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     """Yield the rows of Fig. 6: a pixel is better where it reaches the iso level at a higher
     contrast.
     """
-    limits = evidence.thresholds
+    thresholds = evidence.thresholds
     centres = evidence.frequencies_lp_per_mm
     title = f"Iso-ΔE = {evidence.result.study.iso_delta_e:g}"
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
-        better = limits[good] > limits[bad]
-        worse = limits[good] < limits[bad]
+        better = thresholds[good] > thresholds[bad]
+        worse = thresholds[good] < thresholds[bad]
         result = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
         agrees = bool(better.any() and not worse.any())
         yield Finding(
             f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees
         )
-    six = limits[6.0]
-    smallest = limits[5.3]
-    differing = np.flatnonzero(six != smallest)
+    threshold_6_um = thresholds[6.0]
+    threshold_5_3_um = thresholds[5.3]
+    differing = np.flatnonzero(threshold_6_um != threshold_5_3_um)
     crosses = False
     if differing.size:
         lowest = differing[0]
         highest = differing[-1]
-        crosses = bool(six[lowest] > smallest[lowest] and smallest[highest] > six[highest])
+        crosses = bool(
+            threshold_6_um[lowest] > threshold_5_3_um[lowest]
+            and threshold_5_3_um[highest] > threshold_6_um[highest]
+        )
     result = (
-        f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at"
-        f" {_bands(centres[smallest > six])}"
+        f"6 µm better at {_bands(centres[threshold_6_um > threshold_5_3_um])}, 5.3 µm at"
+        f" {_bands(centres[threshold_5_3_um > threshold_6_um])}"
     )
     yield Finding(
         f"{title}: 6 and 5.3 µm cross",
@@ -437,16 +440,16 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a
     single process.
     """
-    sized = [
+    processes = [
         (curve.feature_size_um, curve.optimum)
         for curve in curves
         if curve.feature_size_um is not None
     ]
-    if len(sized) < 2:
+    if len(processes) < 2:
         return []
-    sized.sort(key=lambda pair: -pair[0])
-    features_um = [feature_um for feature_um, _ in sized]
-    optima = [optimum for _, optimum in sized]
+    processes.sort(key=lambda pair: -pair[0])
+    features_um = [feature_um for feature_um, _ in processes]
+    optima = [optimum for _, optimum in processes]
     names = [f"{feature_um:g}" for feature_um in features_um]
     size_um = [best.pitch_um for best in optima]
     # A minimum at the end of the pitches is no optimum: neither its pitch nor its error is known.

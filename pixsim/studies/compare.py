@@ -69,7 +69,7 @@ from pixsim.viewer.screen import warn_of_clipping, white_header
 
 _MAKE_AGAIN = "Make it again, with its settings.toml."
 RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
-# What a header of light says of the pixels, not of the light itself.
+# Entries of a header of light that depend on the pixels.
 _PIXEL_HEADER_KEYS = {"plan", "bound_e", "spare_e", "render_noise"}
 
 
@@ -152,8 +152,8 @@ def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
 def _light_entries_and_streams(
     content: Mapping[str, Any], kind: str
 ) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
-    """Return what of a result states a light and its film, by the name of the light, and its random
-    streams.
+    """Return the entry of each light of a result, with the error of its film, by the light's name;
+    and the beginning of the keys of its random streams.
     """
     if kind == "run":
         return {"": content}, ("evaluate", content["seed"])
@@ -180,12 +180,14 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
     """Return the numbers of the rows of results.csv by their places."""
     first_number = PIXEL_STATISTICS[0]
     rows: dict[tuple[object, ...], dict[str, float]] = {}
-    head, *lines = read_text(path, "results", "the rows of a study", MAX_BYTES).splitlines() or [""]
-    reader = csv.DictReader([head, *lines])
+    header_line, *lines = read_text(
+        path, "results", "the rows of a study", MAX_BYTES
+    ).splitlines() or [""]
+    reader = csv.DictReader([header_line, *lines])
     names = list(reader.fieldnames or ())
     if names[:3] != list(COLUMNS[:3]) or first_number not in names:
         raise invalid("results", f"'{path}'", "the rows of a study")
-    if not all(is_as_written(line, head) for line in lines):
+    if not all(is_as_written(line, header_line) for line in lines):
         raise invalid(
             "results",
             f"'{path}', with a row that changed after pixsim wrote it",
@@ -236,7 +238,7 @@ class ResultsComparison(Result):
     @property
     def names(self) -> tuple[str, str]:
         """Names of the folders."""
-        return names_of(self.a, self.b)
+        return folder_names(self.a, self.b)
 
     @property
     def film_delta_e(self) -> float | None:
@@ -259,7 +261,7 @@ class ResultsComparison(Result):
         )
 
 
-def names_of(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
+def folder_names(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
     """Return the names of two folders; with the folders above them where these are the same."""
     return (a.name, b.name) if a.name != b.name else (str(a.path), str(b.path))
 
@@ -278,9 +280,9 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
     other = _read_folder(b)
     if first.kind != other.kind:
         raise invalid("results", f"a {first.kind} and a {other.kind}", "two results of one kind")
-    if differing := list(_what_differs(first, other)):
+    if light_differences := list(_light_differences(first, other)):
         hint = "Compare sensors in one light: pixsim compare A.toml B.toml."
-        got = f"two results that differ in {'; '.join(differing)}"
+        got = f"two results that differ in {'; '.join(light_differences)}"
         raise invalid("results", got, "results of the same light and streams", hint)
     shared = [place for place in first.rows if place in other.rows]
     if not shared:
@@ -300,20 +302,20 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
                 for folder in (first, other)
             )
             if np.isfinite([values_a, values_b]).all():
-                pairs = Pairs(names_of(first, other), values_a, values_b, metric)
+                pairs = Pairs(folder_names(first, other), values_a, values_b, metric)
                 differences.append(ResultPairs(dict(labels), pairs))  # type: ignore[arg-type]
-    only = len(first.rows) + len(other.rows) - 2 * len(shared)
-    return ResultsComparison(first, other, tuple(differences), only)
+    unpaired_count = len(first.rows) + len(other.rows) - 2 * len(shared)
+    return ResultsComparison(first, other, tuple(differences), unpaired_count)
 
 
 def metrics_of(a: ResultFolder, b: ResultFolder) -> list[Metric]:
     """Return the metrics of which both results have numbers."""
-    both = set(a.columns) & set(b.columns)
-    return [metric for metric in METRICS.values() if metric.columns[0] in both]
+    shared_columns = set(a.columns) & set(b.columns)
+    return [metric for metric in METRICS.values() if metric.columns[0] in shared_columns]
 
 
-def _what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
-    """Yield what of the light and the random streams of two results differs, in words."""
+def _light_differences(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
+    """Yield each difference of the light and the random streams of two results, as text."""
     if a.streams != b.streams:
         yield f"random streams ({_shortened(a.streams)} and {_shortened(b.streams)})"
     for name in a.lights.keys() & b.lights.keys():
@@ -327,7 +329,7 @@ def _what_differs(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
 
 
 def _light_header(result: ResultFolder, name: str) -> dict[str, Any]:
-    """Return the header of a light, without what it says of the pixels."""
+    """Return the header of a light, without entries that depend on the pixels."""
     header = result.lights[name]
     return {key: value for key, value in header.items() if key not in _PIXEL_HEADER_KEYS}
 
@@ -426,7 +428,7 @@ def compare(
     options |= {
         name: list(tables) for name, tables in (("axis", axis), ("condition", condition)) if tables
     }
-    with collected_notes():  # also of what is found before the comparison begins
+    with collected_notes():  # the preparation warns, too
         job = prepare(
             files,
             scene,
@@ -540,11 +542,13 @@ def _render_groups(
             continue
 
         # Pairs and further cases would repeat the warnings of the first groups.
-        words = [f"{pair} alone"] if pair else []
+        place = [group.words] if group.words else []
+        if pair:
+            place = [f"{pair} alone", *place]
         with ExitStack() as stack:
             if pair or number >= len(job.condition_groups()):
                 stack.enter_context(suppressed_warnings())
-            stack.enter_context(named(", ".join(filter(None, (*words, group.words)))))
+            stack.enter_context(named(", ".join(place)))
             group_stage = partial(_stage_of_group, stage, (pair, group.words))
             group_lights = _lights_on_one_film(group, group_stage)
         groups.append(group)
@@ -566,7 +570,7 @@ def _is_pair_among(group: SensorGroup, pair: str, other: SensorGroup) -> bool:
 
 
 def _stage_of_group(stage: Stage, words: tuple[str, ...], name: str) -> Progress:
-    """Return the callback of a stage whose name begins with the words of a group."""
+    """Return the callback of a stage whose name begins with the pair and the case of a group."""
     return stage(": ".join(filter(None, (*words, name))))
 
 

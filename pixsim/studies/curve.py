@@ -278,10 +278,10 @@ class Curve(Result):
         some sensors have 0 or less.
         """
         values = self.statistics[self.metric.columns[0]]
-        dead = np.isfinite(values).any(axis=1) & ~self.fittable
-        pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
+        worthless = np.isfinite(values).any(axis=1) & ~self.fittable
+        pitch_um = np.append(self.fit.pitch_um, self.pitch_um[worthless])
         fitted = self.metric.from_loss(self.fit.delta_e)
-        along = np.append(fitted, mean_of_sensors(values[dead]))
+        along = np.append(fitted, mean_of_sensors(values[worthless]))
         order = np.argsort(pitch_um, kind="stable")
         return pitch_um[order], along[order]
 

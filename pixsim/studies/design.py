@@ -59,12 +59,11 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
     from pixsim.viewer.scene_light import SceneLight
 
-# --- pixels of a study
-# --------------------------------------------------------------------------------------------------
+# --- pixels of a study ----------------------------------------------------------------------------
 
 
 def pixel_of(study: Study, technology: str, pitch_um: Pitch) -> Pixel:
-    """Pixel of a study in a technology, by name or path, at a pitch."""
+    """Return the pixel of a study in a technology, by name or path, at a pitch."""
     sensor = study.sensors.get(technology)
     if sensor is None:
         return Pixel(**study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
@@ -139,7 +138,7 @@ Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
 
 
-_equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share
+_geometric_pitches_um = lru_cache(np.geomspace)  # which the cases of a study share
 
 
 def study_pitches_um(study: Study, technology: str) -> Array:
@@ -169,7 +168,9 @@ def study_pitches_um(study: Study, technology: str) -> Array:
                 hint,
             )
         return pitches
-    (low, high), source = study.open_range_um, "pitch.min_um"
+
+    low, high = study.open_range_um
+    source = "pitch.min_um"
     if low is None:
         process = with_fill_factor_law(
             technology_of(study, technology), study.options_of(technology).fill_factor_law
@@ -196,7 +197,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     high = min(high, largest_um)
     if low >= high:
         raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
-    return _equal_ratios(low, high, study.pitch.count).round(4)  # a new array
+    return _geometric_pitches_um(low, high, study.pitch.count).round(4)  # a new array
 
 
 def largest_lens_um(study: Study, technology: str) -> float:
@@ -335,8 +336,7 @@ def further_displays(
     return tuple(displays.values())
 
 
-# --- cases
-# --------------------------------------------------------------------------------------------------
+# --- cases ----------------------------------------------------------------------------------------
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -353,7 +353,7 @@ class Case(Generic[Settings]):
         them
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
-    alone : name of the axis that varies alone; empty for none
+    one_at_a_time : name of the axis that varies alone; empty for none
     sensor : its name in rows: of a technology, of a data sheet, or of a comparison's sensor
     file : of a comparison, the sensor's file or technology; else empty
     resolved : the scene with its chart, or the picture of another program; and the camera of the
@@ -376,7 +376,7 @@ class Case(Generic[Settings]):
     settings: Settings = field(repr=False)
     at: dict[str, Label] = field(default_factory=dict)
     condition: str = ""
-    alone: str = ""
+    one_at_a_time: str = ""
     sensor: str = ""
     file: str = ""
     resolved: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
@@ -426,7 +426,7 @@ class Case(Generic[Settings]):
     @property
     def words(self) -> str:
         """Values and condition as text; empty for a study without them."""
-        return case_words(self.at, self.condition, self.alone)
+        return case_words(self.at, self.condition, self.one_at_a_time)
 
     @property
     def folder(self) -> str:
@@ -483,9 +483,9 @@ def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) 
 
 def _number_of_cases(study: Study) -> int:
     """Return how many cases the axes and conditions of a study make; 1 without any."""
-    together = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
-    alone = sum(len(axis.points) for axis in study.axis if axis.alone)
-    return (together + alone) * max(1, len(study.condition))
+    combination_count = math.prod(len(axis.points) for axis in study.axis if not axis.alone)
+    single_count = sum(len(axis.points) for axis in study.axis if axis.alone)
+    return (combination_count + single_count) * max(1, len(study.condition))
 
 
 def cases_of(study: Study) -> tuple[Case[Study], ...]:
@@ -508,21 +508,23 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
 
     stated = study.stated
     cases: list[Case[Study]] = []
-    for points, alone in combinations(study.axis):
+    for points, single_axis in combinations(study.axis):
         table = stated
         for point in points.values():
             table = _with_settings(table, point.table)
         at = values_at(study.axis, points)
-        where = [f"axis {name}, value {point.label}" for name, point in points.items()]
+        places = [f"axis {name}, value {point.label}" for name, point in points.items()]
         if not study.condition:
-            settings = _study(table, where)
-            cases.append(Case(settings, at, "", alone, labels=dict(at), group=len(cases)))
+            settings = _study(table, places)
+            cases.append(Case(settings, at, "", single_axis, labels=dict(at), group=len(cases)))
         for condition in study.condition:
             settings = _study(
-                _with_settings(table, condition.set), [*where, f"condition {condition.name}"]
+                _with_settings(table, condition.set), [*places, f"condition {condition.name}"]
             )
             labels = at | {"condition": condition.name}
-            cases.append(Case(settings, at, condition.name, alone, labels=labels, group=len(cases)))
+            cases.append(
+                Case(settings, at, condition.name, single_axis, labels=labels, group=len(cases))
+            )
 
     try:
         check_case_folders([case.words or BASE for case in cases])
@@ -559,31 +561,40 @@ def with_range_ends(study: Study) -> Study:
                 ", ".join(range_numbers),
                 did_you_mean(number, range_numbers),
             )
-        values: list[tuple[str, dict[str, dict[str, float]]]] = []
-        for end, word in enumerate(("all low", "all high")):
-            moved = {
-                name: {number: process.ranges[number][end]}
-                for name, process in processes.items()
-                if number in process.ranges
-                and process.ranges[number][end] != process.numbers[number]
-            }
-            if len(moved) > 1:
-                values.append((word, moved))
-            values += [
-                (f"{labels[name]} {value[number]:g}", {name: value})
-                for name, value in moved.items()
-            ]
-        if not values:
+        points = _range_end_points(number, processes, labels)
+        if not points:
             reason = f"no technology of the study has a range for {number}"
             warn(Note("not_used", setting=f"axis {axis.name}", reason=reason))
             continue
-        points = [{"label": label, "set": {"process": moved}} for label, moved in values]
         axes.append(Axis.model_validate({"name": axis.name, "values": points, "alone": True}))
     return study.model_copy(update={"axis": tuple(axes)})
 
 
+def _range_end_points(
+    number: str, processes: Mapping[str, Technology], labels: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Return the values of an axis over the range of a process number: the low ends, then the high
+    ends, of all technologies together and of each alone.
+
+    processes, labels : of the technologies, by their names
+    """
+    points: list[dict[str, Any]] = []
+    for end, all_ends in enumerate(("all low", "all high")):
+        changes = {
+            name: {number: process.ranges[number][end]}
+            for name, process in processes.items()
+            if number in process.ranges and process.ranges[number][end] != process.numbers[number]
+        }
+        if len(changes) > 1:
+            points.append({"label": all_ends, "set": {"process": changes}})
+        for name, change in changes.items():
+            label = f"{labels[name]} {change[number]:g}"
+            points.append({"label": label, "set": {"process": {name: change}}})
+    return points
+
+
 def single_technology_table(study: Study, technology: str) -> dict[str, Any]:
-    """Return a study's settings with one technology: without the other ones and their numbers."""
+    """Return a study's settings with one of its technologies, without the numbers of the others."""
     table = study.model_dump(mode="json", exclude={"axis", "condition", "title", "sources"})
     numbers = {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
     return table | {"technologies": [technology]} | numbers
@@ -603,13 +614,13 @@ def combinations(axes: Sequence[Axis]) -> Iterator[tuple[dict[str, AxisPoint], s
 
     If an axis varies alone, the study's own settings come first, unless other axes vary together.
     """
-    together = [axis for axis in axes if not axis.alone]
-    alone = [axis for axis in axes if axis.alone]
-    for points in product(*(axis.points for axis in together)):
-        yield {axis.name: point for axis, point in zip(together, points, strict=True)}, ""
-    if together and alone:
+    joint_axes = [axis for axis in axes if not axis.alone]
+    single_axes = [axis for axis in axes if axis.alone]
+    for points in product(*(axis.points for axis in joint_axes)):
+        yield {axis.name: point for axis, point in zip(joint_axes, points, strict=True)}, ""
+    if joint_axes and single_axes:
         yield {}, ""
-    for axis in alone:
+    for axis in single_axes:
         for point in axis.points:
             yield {axis.name: point}, axis.name
 
@@ -628,7 +639,7 @@ def _with_settings(table: dict[str, Any], settings: dict[str, Any]) -> dict[str,
     return merged
 
 
-def _study(table: dict[str, Any], where: list[str]) -> Study:
+def _study(table: dict[str, Any], places: list[str]) -> Study:
     """Return the study of a table. Raises PixsimError that names the value or the condition behind
     it.
     """
@@ -636,7 +647,7 @@ def _study(table: dict[str, Any], where: list[str]) -> Study:
         return Study.model_validate(table)
     except ValidationError as error:
         raise PixsimError(
-            "\n".join(f"{', '.join(where)}: {line}" for line in explain(error).splitlines())
+            "\n".join(f"{', '.join(places)}: {line}" for line in explain(error).splitlines())
         ) from None
 
 
@@ -659,8 +670,7 @@ def check_number(cases: int, evaluations: int, agreed: bool) -> None:
         )
 
 
-# --- keys
-# --------------------------------------------------------------------------------------------------
+# --- keys -----------------------------------------------------------------------------------------
 
 REPEATS_PER_TASK = 8  # after which a worker reports
 MAX_REPEATS = 10_000  # of a pitch

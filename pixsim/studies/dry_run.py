@@ -39,7 +39,7 @@ _CELL_S = 5e-7
 _LENS_CELL_S = 5e-6
 PAGE_S = 3.0
 _CURVE_S = 0.6
-_MOST_CURVES = 64  # of which a page has figures of their own
+_MAX_DRAWN_CURVES = 64  # of which a page has figures of their own
 _FILM_BYTES_PER_CELL = 120.0
 
 
@@ -59,19 +59,19 @@ class Cost:
 
     def __str__(self) -> str:
         processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
-        made = (
+        work = (
             f"{_counted(self.renders, 'render')},"
             f" {_counted(self.evaluations, 'evaluation')}{processes}"
         )
         time = duration(float(f"{self.seconds:.1g}"))
         return (
-            f"{made}; about {time}, within a factor of 3; {self.memory_bytes / 1e9:.2g} GB of"
+            f"{work}; about {time}, within a factor of 3; {self.memory_bytes / 1e9:.2g} GB of"
             " memory"
         )
 
 
 def _counted(number: int, noun: str) -> str:
-    """Return a number of things in words."""
+    """Return a number with its noun, in the plural but for 1."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
@@ -161,43 +161,46 @@ def study_cost(
     shape: tuple[int, int],
     jobs: int | None = None,
     types: int = 0,
-    checked: int = 0,
+    further_evaluations: int = 0,
 ) -> Cost:
     """Estimate a study with its cases and its report, without further rounds for a target interval.
 
     lights : number of rendered lights; the memory holds one of them, and several behind the lens
     plan, shape : of the first light, and (H, W) of its film
     types : sensor types of each case, beside the study itself
-    checked : evaluations of its frames on further displays
+    further_evaluations : evaluations of its frames on further displays
     """
     costs: dict[Any, list[FrameCost]] = {}
     frames = [_frame_costs(study, camera, costs) for study, camera in cases]
-    largest = max(frame.memory_bytes for case_frames in frames for frame in case_frames)
-    jobs = jobs or jobs_in_memory(largest)
+    frame_bytes = max(frame.memory_bytes for case_frames in frames for frame in case_frames)
+    jobs = jobs or jobs_in_memory(frame_bytes)
 
     evaluations = 0
     frames_s = 0.0
     for (study, _), case_frames in zip(cases, frames, strict=True):
-        one_sensor_s = sum(frame.seconds for frame in case_frames)
+        sensor_s = sum(frame.seconds for frame in case_frames)
         type_evaluations = types * MAX_TYPE_EVALUATIONS * len(study.technologies)
         evaluations += study.repeats * len(case_frames) + type_evaluations
-        frames_s += study.repeats * one_sensor_s + type_evaluations * one_sensor_s / len(
-            case_frames
-        )
-    frames_s *= 1 + checked / evaluations
-    evaluations += checked
+        frames_s += study.repeats * sensor_s + type_evaluations * sensor_s / len(case_frames)
+    frames_s *= 1 + further_evaluations / evaluations
+    evaluations += further_evaluations
 
     curves = sum(len(study.technologies) for study, _ in cases)
     renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
-    seconds = START_S + PAGE_S + renders_s + frames_s / jobs + _CURVE_S * min(curves, _MOST_CURVES)
+    seconds = (
+        START_S + PAGE_S + renders_s + frames_s / jobs + _CURVE_S * min(curves, _MAX_DRAWN_CURVES)
+    )
 
     cells = math.prod(shape)
     planes = plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size
-    light = min(4.0 * cells * planes, MAX_MEMORY_BYTES)
-    behind_lens = _FILM_BYTES_PER_CELL * cells / 2
-    held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
+    light_bytes = min(4.0 * cells * planes, MAX_MEMORY_BYTES)
+    one_behind_lens_bytes = _FILM_BYTES_PER_CELL * cells / 2
+    behind_lens_bytes = min(
+        lights * one_behind_lens_bytes, max(one_behind_lens_bytes, SCENE_CACHE_BYTES)
+    )
     memory_bytes = max(
-        render_bytes(plan, shape), BASE_BYTES + light + held + jobs * (BASE_BYTES + largest)
+        render_bytes(plan, shape),
+        BASE_BYTES + light_bytes + behind_lens_bytes + jobs * (BASE_BYTES + frame_bytes),
     )
     return Cost(lights, evaluations, seconds, memory_bytes, jobs)
 
@@ -255,9 +258,11 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     lights = len({light_hash(case.settings) for case in job.combinations})
     cases = [(case.settings, case.camera) for case in job.combinations]
     # Each metric has pixel sizes of its own.
-    drawn = types * sum(metric.has_optimum for metric in metrics_of(study).chosen)
-    checked = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
-    cost = study_cost(cases, lights, request.plan, request.shape, jobs, drawn, checked)
+    drawn_types = types * sum(metric.has_optimum for metric in metrics_of(study).chosen)
+    further_evaluations = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
+    cost = study_cost(
+        cases, lights, request.plan, request.shape, jobs, drawn_types, further_evaluations
+    )
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [
         _planned_sensors(name, pitches_um, study.repeats, job.camera)
@@ -269,10 +274,12 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
         planned["sensor_types"] = types
     if job.complete.has_cases:
         planned["cases"] = [
-            {"at": case.at, "condition": case.condition, "alone": case.alone}
+            {"at": case.at, "condition": case.condition, "alone": case.one_at_a_time}
             for case in job.combinations
         ]
-    return planned | ({} if study.own_um is None else {"own_um": study.own_um})
+    if study.own_um is not None:
+        planned["own_um"] = study.own_um
+    return planned
 
 
 def _planned_light(request: LightRequest) -> dict[str, Any]:
@@ -285,18 +292,23 @@ def _planned_light(request: LightRequest) -> dict[str, Any]:
         limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
-    (height, width), plan, smallest, settings = (
-        request.shape,
-        request.plan,
-        request.measured[0],
-        request.settings,
-    )
+    height, width = request.shape
+    plan = request.plan
+    smallest = request.measured[0]
+    settings = request.settings
+
     dot_samples = samples_per_dot(width, smallest, plan.film.chart)
-    rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * request.camera.die_mm / width
+
+    pixels = math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
+    max_rays_per_pixel: float | None = plan.most_samples / pixels
+    if settings.max_seconds:
+        max_rays_per_pixel = None
+    if plan.samples.exact:
+        max_rays_per_pixel = 0.0
     errors = {
         "film_share": film_error(0.0, 0.0, 1.0, dot_samples),
-        "rays_a_pixel": 0.0 if plan.samples.exact else None if settings.max_seconds else rays,
+        "rays_a_pixel": max_rays_per_pixel,
         "render_noise": settings.render_noise,
     }
     film = {

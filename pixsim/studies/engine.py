@@ -120,7 +120,7 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
 
         class Client(distributed.Client):  # type: ignore[misc]
             def __del__(self) -> None:
-                # A client that could not connect fails here, after its error has been reported.
+                # After a failed connection this fails too; the error has been reported by then.
                 with suppress(Exception):
                     super().__del__()
 
@@ -137,18 +137,18 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
                 hint,
             ) from None
         with closing(client):
-            yield _checked(client)
+            yield _checked_workers(client)
     else:
-        yield _checked(cast("Client", scheduler))
+        yield _checked_workers(cast("Client", scheduler))
 
 
-def _checked(client: Client) -> Workers:
+def _checked_workers(client: Client) -> Workers:
     """Return the workers of a cluster. Raises PixsimError if it has none, or one runs another
     version.
     """
     try:
         client.wait_for_workers(1, timeout=WORKER_SECONDS)
-        theirs = client.run(cache.version_fingerprint)
+        worker_versions = client.run(cache.version_fingerprint)
     except TimeoutError:
         hint = "Start workers with `dask worker ADDRESS`."
         raise invalid(
@@ -157,13 +157,13 @@ def _checked(client: Client) -> Workers:
     except Exception as error:  # Dask reports any failure on a worker as a plain Exception
         got = f"a worker that does not report its pixsim version ({error})"
         raise invalid("--scheduler", got, f"{cache.version_fingerprint()} on all workers") from None
-    ours = cache.version_fingerprint()
-    for address, other in theirs.items():
-        if other != ours:
+    version = cache.version_fingerprint()
+    for address, worker_version in worker_versions.items():
+        if worker_version != version:
             raise invalid(
                 "--scheduler",
-                f"{other} at {address}",
-                f"{ours}, as here, so that all rows are comparable",
+                f"{worker_version} at {address}",
+                f"{version}, as here, so that all rows are comparable",
             )
     return Workers(client=client)
 
@@ -179,51 +179,53 @@ def results_of(
     Raises PixsimError naming the tasks that end their worker even when they run alone, or if the
     cluster's scheduler is lost.
     """
-    left: Calls[Task, Shared] = dict(enumerate(calls))
-    deadly: Calls[Task, Shared] = {}
+    unfinished: Calls[Task, Shared] = dict(enumerate(calls))
+    fatal: Calls[Task, Shared] = {}
     # Read at the beginning, since a closed client has no address.
     address = workers.client.scheduler.address if workers.client else ""
     if not workers.client and (len(calls) == 1 or (workers.jobs > 1 and not processes_work())):
         workers = Workers()  # one call does not need a process
 
     def attempt(batch: Calls[Task, Shared]) -> Iterator[Result]:
-        """Yield results, removing finished calls from the batch; stop when a worker dies."""
+        """Yield results, and remove finished calls from the batch; stop when a worker dies."""
         try:
-            for index, result in _once(function, batch, workers):
+            for index, result in _run_calls(function, batch, workers):
                 del batch[index]
                 yield result
         except Exception as error:
             if workers.client:
                 _check_scheduler(workers.client, address)
-            if not _is_death(error):
+            if not _is_lost_worker(error):
                 raise
 
-    while left:
-        before = len(left)
-        yield from attempt(left)
-        if not left:
+    while unfinished:
+        count_before = len(unfinished)
+        yield from attempt(unfinished)
+        if not unfinished:
             break
-        text = f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks"
-        warn(Note("machine", words=text))
-        indices = list(left)
-        if len(left) < before:
+        words = (
+            f"a worker process died; retrying the remaining {len(unfinished)} of {len(calls)} tasks"
+        )
+        warn(Note("machine", words=words))
+        indices = list(unfinished)
+        if len(unfinished) < count_before:
             # The calls started first may be the cause: the others go before them.
             half = len(indices) // 2
-            left = {index: left[index] for index in [*indices[half:], *indices[:half]]}
+            unfinished = {index: unfinished[index] for index in [*indices[half:], *indices[:half]]}
             continue
         # One of the calls started first is the cause: run each alone.
         for index in indices[: _SUSPECTS * workers.jobs]:
-            alone = {index: left.pop(index)}
-            yield from attempt(alone)
-            deadly |= alone
-    if deadly:
-        tasks = [str(task) for task, _ in deadly.values()]
-        named = ", ".join(tasks[:_NAMED_TASKS])
+            single_call = {index: unfinished.pop(index)}
+            yield from attempt(single_call)
+            fatal |= single_call
+    if fatal:
+        tasks = [str(task) for task, _ in fatal.values()]
+        names = ", ".join(tasks[:_NAMED_TASKS])
         if len(tasks) > _NAMED_TASKS:
-            named += f" and {len(tasks) - _NAMED_TASKS} more"
+            names += f" and {len(tasks) - _NAMED_TASKS} more"
         raise PixsimError(
             f"workers ({workers}): each of these tasks ended its process, even when run alone:"
-            f" {named}. Often the system is out of memory. Finished rows are kept, and the same"
+            f" {names}. Often the system is out of memory. Finished rows are kept, and the same"
             " command continues from them; --jobs 1 shows the error."
         )
 
@@ -265,15 +267,16 @@ def _check_scheduler(client: Client, address: str) -> None:
         raise invalid(
             "--scheduler",
             f"a scheduler at {address} that ended before the study",
-            "one that stays until its end",
+            "a scheduler that runs until the study has ended",
             hint,
         )
-    _checked(client)
+    _checked_workers(client)
 
 
-def _is_death(error: BaseException) -> bool:
-    """Return whether an error means a lost worker or cluster; compared by name, since neither
-    package need be installed.
+def _is_lost_worker(error: BaseException) -> bool:
+    """Return whether an error means a lost worker or cluster.
+
+    Its classes are compared by name, since neither joblib nor Dask need be installed.
     """
     names = {kind.__name__ for kind in type(error).__mro__}
     return bool(
@@ -288,7 +291,7 @@ def _is_death(error: BaseException) -> bool:
     )
 
 
-def _once(
+def _run_calls(
     function: Function[Task, Shared, Result], calls: Calls[Task, Shared], workers: Workers
 ) -> Iterator[tuple[int, Result]]:
     """Yield each call's number and result, in order of completion, without retrying."""
@@ -372,8 +375,8 @@ def _replies(
     """
     from distributed import as_completed
 
-    left = iter(list(calls.items()))
-    size = 1
+    waiting_calls = iter(list(calls.items()))
+    batch_size = 1
     unsent = len(calls)
     sent = as_completed(loop=client.loop)
 
@@ -385,7 +388,7 @@ def _replies(
             max_batch = -(-unsent // (_BATCHES_A_THREAD * threads))
             batch = [
                 (index, task, remote[id(make)])
-                for index, (task, make) in islice(left, max(1, min(size, max_batch)))
+                for index, (task, make) in islice(waiting_calls, max(1, min(batch_size, max_batch)))
             ]
             unsent -= len(batch)
             sent.add(client.submit(_batch, function, batch, pure=False))
@@ -394,7 +397,9 @@ def _replies(
         send()
         for future in sent:
             replies, seconds = future.result()
-            size = min(MAX_CALLS, max(1, round(BATCH_SECONDS * len(replies) / max(seconds, 1e-9))))
+            batch_size = min(
+                MAX_CALLS, max(1, round(BATCH_SECONDS * len(replies) / max(seconds, 1e-9)))
+            )
             send()
             yield from replies
     finally:
@@ -409,11 +414,11 @@ def _batch(
     workers may share a processor.
     """
     start = time.thread_time()
-    replies = [_numbered(function, index, task, shared) for index, task, shared in calls]
+    replies = [_reply_of_call(function, index, task, shared) for index, task, shared in calls]
     return replies, time.thread_time() - start
 
 
-def _numbered(
+def _reply_of_call(
     function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared
 ) -> _Reply[Result]:
     """Return a call's number, its result and its warnings, which the parent process shows once."""
@@ -430,7 +435,7 @@ def _numbered(
 
 # loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and
 # warns of that. No result depends on it.
-REPLACED = "A worker stopped while some jobs were given to the executor"
+WORKER_REPLACED_WARNING = "A worker stopped while some jobs were given to the executor"
 
 
 def _on_processes(
@@ -448,22 +453,26 @@ def _on_processes(
         closing(SharedFiles(folder, [make for _, make in calls.values()])) as files,
     ):
         makers = {index: make for index, (_, make) in calls.items()}
-        left = Counter(map(id, makers.values()))
+        unfinished_counts = Counter(map(id, makers.values()))
 
-        def numbered(taken: Callable[[], AbstractContextManager[None]]) -> Iterator[Any]:
+        def delayed_calls(
+            ctrl_c_allowed: Callable[[], AbstractContextManager[None]],
+        ) -> Iterator[Any]:
             for index, (task, make) in list(calls.items()):
-                with taken():
+                with ctrl_c_allowed():
                     path = files.path(make)
-                yield delayed(_numbered_from)(function, index, task, path)
+                yield delayed(_reply_of_stored_call)(function, index, task, path)
 
         @contextmanager
-        def begun() -> Iterator[Iterator[_Reply[Result]]]:
-            """The replies of running calls: entered and left as a whole, since joblib ends only
-            workers that it has registered.
+        def running_replies() -> Iterator[Iterator[_Reply[Result]]]:
+            """Give the replies of running calls.
+
+            It is entered and left as a whole, since joblib ends only workers that it has
+            registered.
             """
             parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", max_nbytes=None)
-            with _ctrl_c_blocked() as taken:
-                results = parallel(numbered(taken))
+            with _ctrl_c_blocked() as ctrl_c_allowed:
+                results = parallel(delayed_calls(ctrl_c_allowed))
             try:
                 yield results
             finally:
@@ -473,18 +482,18 @@ def _on_processes(
 
         # Workers of other arguments are not used again: those of another current folder would take
         # a relative path from there.
-        watched: dict[str, Any] = {
+        worker_arguments: dict[str, Any] = {
             "initializer": _begin_worker,
             "initargs": (os.getpid(), _current_folder()),
         }
-        with parallel_config("loky", inner_max_num_threads=1, **watched):
-            warnings.filterwarnings("ignore", REPLACED, UserWarning)
-            with begun() as replies:
+        with parallel_config("loky", inner_max_num_threads=1, **worker_arguments):
+            warnings.filterwarnings("ignore", WORKER_REPLACED_WARNING, UserWarning)
+            with running_replies() as replies:
                 for reply in replies:
                     yield reply
                     make = makers[reply[0]]
-                    left[id(make)] -= 1
-                    if not left[id(make)]:
+                    unfinished_counts[id(make)] -= 1
+                    if not unfinished_counts[id(make)]:
                         files.drop(make)
 
 
@@ -550,7 +559,7 @@ _WATCH_S = 1.0  # between two looks at the parent
 
 
 def _current_folder() -> str:
-    """Return the current folder, or nothing if it is gone."""
+    """Return the current folder, or an empty text if it was deleted."""
     try:
         return os.getcwd()
     except OSError:
@@ -558,7 +567,10 @@ def _current_folder() -> str:
 
 
 def _begin_worker(parent: int, _: str) -> None:
-    """Prepare this process, which the one of this number has started in a folder."""
+    """Prepare this worker process.
+
+    parent : process that started it
+    """
     gc.disable()  # a sixth of the time of the imports; the first call enables it
     ignore_matplotlibrc()
     _watch_parent(parent)
@@ -614,7 +626,7 @@ def _ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
     """Block Ctrl-C in this thread, for the processes that it starts: they inherit this, and their
     parent ends them.
 
-    Gives a context manager in which it is taken as before.
+    Gives a context manager in which Ctrl-C is taken as before.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield nullcontext
@@ -626,30 +638,30 @@ def _ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
 
     @contextmanager
-    def taken() -> Iterator[None]:
-        now = signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    def ctrl_c_allowed() -> Iterator[None]:
+        blocked = signal.pthread_sigmask(signal.SIG_SETMASK, before)
         try:
             yield
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, now)
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
     try:
-        yield taken
+        yield ctrl_c_allowed
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @lru_cache(maxsize=1)
-def _mapped(path: str) -> object:
+def _load_mapped(path: str) -> object:
     from joblib import load
 
     return load(path, mmap_mode="r")
 
 
-def _numbered_from(
+def _reply_of_stored_call(
     function: Function[Task, Any, Result], index: int, task: Task, path: str
 ) -> _Reply[Result]:
     if not gc.isenabled():
         gc.freeze()
         gc.enable()
-    return _numbered(function, index, task, _mapped(path))
+    return _reply_of_call(function, index, task, _load_mapped(path))

@@ -283,8 +283,7 @@ def check_ideals(cases: Sequence[RenderedCase]) -> None:
         check_one_ideal(monochrome_labels, ideals)
 
 
-# --- tasks of workers
-# --------------------------------------------------------------------------------------------------
+# --- tasks of workers -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -434,7 +433,8 @@ def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
     imaging = registered_in(task.imaging, light, repeat)
     key = task.light_key, imaging.pixel.pitch_um, imaging.pixel.registration
     if getattr(_recent, "key", None) != key:
-        _recent.chain, _recent.key = make_chain(imaging, light), key
+        _recent.chain = make_chain(imaging, light)
+        _recent.key = key
     chain: ImagingChain = _recent.chain
     return chain
 
@@ -662,8 +662,7 @@ def ideal_facts(rendered: RenderedCase, smallest_um: float) -> IdealFacts:
     )
 
 
-# --- evaluation
-# --------------------------------------------------------------------------------------------------
+# --- evaluation -----------------------------------------------------------------------------------
 
 
 @dataclass

@@ -264,7 +264,9 @@ class _PicturePart:
                 texels_per_sample=(down / repeated, across / repeated),
             )
             rows, columns = self.region
-            new = finer_chart.picture((_times(rows, repeated), _times(columns, repeated)))
+            new = finer_chart.picture(
+                (_scaled_slice(rows, repeated), _scaled_slice(columns, repeated))
+            )
             old = self.chart.picture(self.region).repeat(repeated, axis=0).repeat(repeated, axis=1)
             planes *= np.divide(new, old, out=np.ones_like(new), where=old > 0)
         image = self.image.with_planes(planes, pitch_um=self.image.pitch_um / repeated)
@@ -294,7 +296,8 @@ def _with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[
     return np.moveaxis(finer.reshape(*samples.shape[:-1], -1), -1, axis)
 
 
-def _times(side: slice, factor: int) -> slice:
+def _scaled_slice(side: slice, factor: int) -> slice:
+    """Return the slice of the same cells on a film of `factor` times as many."""
     return slice(side.start * factor, side.stop * factor)
 
 
@@ -689,11 +692,14 @@ def cached_film_steps(
         imaging.develop,
         imaging.display,
     )
-    sensed = [*(record.model_dump() for record in records), imaging.physics.technology.content]
+    pixel_content = [
+        *(record.model_dump() for record in records),
+        imaging.physics.technology.content,
+    ]
     versions = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
     return cache.load_or_compute(
         "film",
-        content_hash([image.header, image.shape, *sensed, part_ends, versions]),
+        content_hash([image.header, image.shape, *pixel_content, part_ends, versions]),
         FilmSteps.from_dict,
         lambda: film_steps(image, imaging, chart, part_pitch_um, progress),
         FilmSteps.as_dict,

@@ -334,15 +334,15 @@ def render_on_film(
         max_across = largest_film(ratio, plan.light.planes, cells_in_time)
         wider = fitting_width(ratio, 2 * width, max_across)
         pictures = f"{plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
-        end = f"the limit of {max_across} samples across for {pictures}"
+        sample_limit = f"the limit of {max_across} samples across for {pictures}"
         predicted = film.predicted_on(max_across, coarser_film)
 
         if fixed:
             limit = fixed
         elif wider < _WORTH_WIDENING * width:
-            limit = end
+            limit = sample_limit
         elif _is_out_of_reach(film, predicted):
-            limit = f"about {max(predicted):.1g} ΔE would be left at {end}"
+            limit = f"about {max(predicted):.1g} ΔE would be left at {sample_limit}"
         elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
             limit = "as max_seconds allows"
         else:
@@ -468,7 +468,7 @@ def render_for(
     except AlikeChannelsError as error:
         label = label_in(study.technologies[0], case.words)
         raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
-    light.image.header.update(white_header(_seen_by_all(study, light.image, light.camera)))
+    light.image.header.update(white_header(_smallest_pixels(study, light.image, light.camera)))
     return light
 
 
@@ -476,11 +476,11 @@ def _given_light(case: Case[Study], picture: SpectralImage) -> Light:
     """Return the light of a case whose light is given, with the white that it is shown with."""
     study = case.settings
     image = copy(picture)
-    image.header = image.header | white_header(_seen_by_all(study, image, case.camera))
+    image.header = image.header | white_header(_smallest_pixels(study, image, case.camera))
     return Light(image, case.camera, background=case.background)
 
 
-def _seen_by_all(
+def _smallest_pixels(
     study: Study, image: SpectralImage, camera: Camera
 ) -> list[tuple[Imaging, SpectralImage]]:
     """Return the smallest pixels of each technology of a study, each with a picture, for the white
@@ -527,7 +527,7 @@ def render_lights(
         return [given_lights[case.group] for case in cases]
 
     keys: dict[object, str] = {}
-    different: dict[str, Case[Study]] = {}
+    different: dict[str, Case[Study]] = {}  # one case of each light, by the light's key
     for case in cases:
         if case.group not in keys:
             key = light_hash(first_cases[case.group].settings)
@@ -560,32 +560,32 @@ def _computed_lights(
     it is fine enough by far, the others have it too: with less light, noise hides more of the
     detail that a film may miss.
     """
-    shared_keys = {key: _all_but_luminance(case) for key, case in cases.items()}
+    shared_keys = {key: _key_without_luminance(case) for key, case in cases.items()}
     brightest: dict[str, str] = {}
     for key in sorted(cases, key=lambda key: -_luminance(cases[key].settings)):
         brightest.setdefault(shared_keys[key] or key, key)
-    measured = list(brightest.values())
-    others = [key for key in cases if key not in measured]
+    measured_keys = list(brightest.values())
+    further_keys = [key for key in cases if key not in measured_keys]
 
     films: dict[str, FilmError] = {}
     lights: dict[str, Light | str] = {}
-    for keys in (measured, others):
+    for keys in (measured_keys, further_keys):
         tasks = [((key, cases[key], films.get(shared_keys[key])), _nothing) for key in keys]
         for key, light in results_of(_render_task, tasks, workers):
             lights[key] = _stored(light, store)
-            if isinstance(light, Light) and light.film and _is_fine_by_far(light.film):
+            if isinstance(light, Light) and light.film and _is_well_within_tolerance(light.film):
                 films.setdefault(shared_keys[key], light.film)
             progress(len(lights) / len(cases))
     return lights
 
 
-def _is_fine_by_far(film: FilmError) -> bool:
+def _is_well_within_tolerance(film: FilmError) -> bool:
     """Return whether the error of a film is far below the tolerated error."""
-    return film.largest_delta_e <= _FAR_BELOW * min(film.tolerated_delta_e)
+    return film.largest_delta_e <= _WELL_WITHIN * min(film.tolerated_delta_e)
 
 
 LUMINANCE = "luminance_cd_per_m2"  # the parameter of a scene
-_FAR_BELOW = 0.1  # of the tolerated error
+_WELL_WITHIN = 0.1  # of the tolerated error
 
 
 def _luminance(study: Study) -> float:
@@ -594,7 +594,7 @@ def _luminance(study: Study) -> float:
     return float(stated) if isinstance(stated, float | int) else 0.0
 
 
-def _all_but_luminance(case: Case[Study]) -> str:
+def _key_without_luminance(case: Case[Study]) -> str:
     """Return a key that is equal for cases that differ in the amount of light alone; empty where a
     film holds for one case only.
 

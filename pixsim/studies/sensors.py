@@ -362,7 +362,7 @@ class _Circumstances:
         return replace(
             case,
             at=self.at,
-            alone=self.alone,
+            one_at_a_time=self.alone,
             condition=self.condition,
             labels={**labels, **self.labels},
         )
@@ -718,7 +718,7 @@ class ComparisonJob(Job[Run]):
         """The first sensor at each combination of the values of axes."""
         firsts: dict[str, Case[Run]] = {}
         for group in self.groups:
-            firsts.setdefault(repr((group.first.at, group.first.alone)), group.first)
+            firsts.setdefault(repr((group.first.at, group.first.one_at_a_time)), group.first)
         return tuple(firsts.values())
 
     def condition_groups(
@@ -731,12 +731,12 @@ class ComparisonJob(Job[Run]):
         match : None means the one that was asked for
         """
         at = self.combinations[combination]
-        place = at.at, at.alone, match or self.match
+        place = at.at, at.one_at_a_time, match or self.match
         names = self.names if not other else (self.names[0], other)
         return [
             group
             for group in self.groups
-            if (group.first.at, group.first.alone, group.match) == place
+            if (group.first.at, group.first.one_at_a_time, group.match) == place
             and tuple(case.sensor for case in group.cases) == names
         ]
 

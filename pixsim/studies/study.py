@@ -290,7 +290,7 @@ def _combination_result(
         assert isinstance(curve, Curve)
         case = sensor.case
         causes = causes_of_curve(sensor, curve, fact.lightness, on_first_display(table))
-        labels = replace(curve.case, at=case.at, condition=case.condition, alone=case.alone)
+        labels = replace(curve.case, at=case.at, condition=case.condition, alone=case.one_at_a_time)
         errors = replace(curve.errors, causes=causes)
         on_displays = _on_further_displays(case.settings, curve, table)
         complete.append(replace(curve, case=labels, errors=errors, on_displays=on_displays))

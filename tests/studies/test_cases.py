@@ -261,7 +261,7 @@ def test_cases_of_plain_study_is_itself() -> None:
 
 def test_cases_of_moves_alone_begin_with_the_base() -> None:
     cases = cases_of(tiny(axis=[PRNU]))
-    assert [(case.at["PRNU"], case.alone) for case in cases] == [
+    assert [(case.at["PRNU"], case.one_at_a_time) for case in cases] == [
         (BASE, ""),
         (0.01, "PRNU"),
         (0.03, "PRNU"),
@@ -281,11 +281,11 @@ def test_cases_of_are_a_product_then_single_moves_each_under_every_condition() -
         "PRNU: 0.01, day",
         "PRNU: 0.01, night",
     ]
-    assert (cases[10].alone, cases[10].settings.pixel.prnu, cases[10].settings.camera.f_number) == (
-        "PRNU",
-        0.01,
-        None,
-    )
+    assert (
+        cases[10].one_at_a_time,
+        cases[10].settings.pixel.prnu,
+        cases[10].settings.camera.f_number,
+    ) == ("PRNU", 0.01, None)
     assert (
         cases[0].settings.camera.f_number,
         cases[0].settings.scene.parameters["luminance_cd_per_m2"],

@@ -135,7 +135,13 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
         "0.35um": {"dark_current_na_per_cm2": 3.0},
         "0.25um": {"dark_current_na_per_cm2": 9.0},
     }
-    assert {case.alone for case in cases_of(study)} == {"", "PRNU", "light", "dark current", "peak"}
+    assert {case.one_at_a_time for case in cases_of(study)} == {
+        "",
+        "PRNU",
+        "light",
+        "dark current",
+        "peak",
+    }
 
 
 @pytest.mark.parametrize(
