@@ -79,7 +79,7 @@ def cameras_document(cameras: Sequence[CameraEntry], sources: Mapping[str, str])
                 camera.kind,
                 camera.channels,
                 f"{low_nm:g}-{high_nm:g} nm, peaks {peaks} nm",
-                camera.words,
+                camera.description,
             )
         )
     use = (

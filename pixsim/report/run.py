@@ -670,7 +670,7 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
                 yield _STATISTICS_WORDS[name], value
 
     imaging = result.chain.imaging
-    longest_path_um = result.chain.moving.longest_um
+    longest_path_um = result.chain.image_motion.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(
         imaging, result.irradiance, longest_path_um
     )

@@ -54,7 +54,7 @@ from pixsim.sensor.spectral_range import (
     outside_header,
     outside_hint,
     outside_share,
-    outside_words,
+    outside_share_text,
 )
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.display_options import Display
@@ -550,7 +550,7 @@ def _outside_notes(
     share = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
     if share <= NOTED_SHARE:
         return []
-    return [Note("light_left_out", words=outside_words(share, span), hint=outside_hint())]
+    return [Note("light_left_out", words=outside_share_text(share, span), hint=outside_hint())]
 
 
 def _tolerance_notes(bound_e: float, tolerance_e: float) -> list[Note]:

@@ -130,7 +130,7 @@ class CameraEntry:
     notes: str
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The title, and whether the scale of the channels is lost."""
         if _SEPARATE_SCALES not in self.notes:
             return self.title

@@ -1,5 +1,5 @@
-"""What the stack of the pixels makes of the light on them: the share that each pixel and its
-neighbours collect, over the field.
+"""Shares of the light on a pixel that it and its neighbours collect through their stack, over the
+field.
 
 A stack's shares (`pixsim.optics.stack`) depend on the pupil that a pixel sees, so on the place on
 the sensor, and under a microlens on the wavelength. They are weighted here with the electrons of
@@ -64,13 +64,13 @@ class Illumination:
     spectrum in electrons.
 
     weight : electrons of each wavelength, in any unit, with a positive sum
-    spare_e : relative error of the mean electrons that leaving parts of a stack out may cause
+    tolerance : largest relative error of the mean electrons by leaving out parts of a stack
     """
 
     wavelength_nm: tuple[float, ...]
     weight: tuple[float, ...]
     pupil: CameraPupil
-    spare_e: float = 0.0
+    tolerance: float = 0.0
 
     def nodes(self, count: Count) -> tuple[Array, Array]:
         """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a
@@ -96,12 +96,12 @@ def illumination(
     wavelength_nm: Array,
     electrons: Array,
     mean_spectrum: Array,
-    spare_e: float = 0.0,
+    tolerance: float = 0.0,
 ) -> Illumination:
     """Return the light of a camera, with a spectrum in the unit that `electrons` turns into
     electrons, each (B,).
 
-    spare_e : as in `Illumination`
+    tolerance : as in `Illumination`
 
     A black picture is taken as one of equal light in all bands.
     """
@@ -109,7 +109,7 @@ def illumination(
     if not weight.any():
         weight = electrons if electrons.any() else np.ones_like(electrons)
     return Illumination(
-        tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera), spare_e
+        tuple(wavelength_nm.tolist()), tuple(weight.tolist()), camera_pupil(camera), tolerance
     )
 
 
@@ -161,8 +161,8 @@ class Collection:
 def collection_of(
     physics: PixelPhysics, light: Illumination, shape: tuple[int, int]
 ) -> Collection | None:
-    """Return the collection of an array of pixels (rows, columns) that is centred on the lens's
-    axis, if they have a stack.
+    """Return the collection of an array of pixels (rows, columns) centred on the axis of the lens;
+    None without a stack.
 
     Raises PixsimError as `Stack` and `absorption_per_um` do.
     """
@@ -171,7 +171,7 @@ def collection_of(
         return None
     check_efficiency(physics)
     half_um = half_sizes_um(physics, shape)
-    if scale_error(physics, light.pupil, half_um, light.spare_e) is not None:
+    if scale_error(physics, light.pupil, half_um, light.tolerance) is not None:
         central = _collection(stack, physics.charge, measurement(physics), light, (0.0, 0.0))
         scale = np.zeros_like(central.shares)
         scale[:, :, 2, 2] = central.on_axis
@@ -189,7 +189,7 @@ def half_sizes_um(physics: PixelPhysics, shape: tuple[int, int]) -> tuple[float,
 def scale_error(
     physics: PixelPhysics, pupil: CameraPupil, half_um: tuple[float, float], allowed: float
 ) -> float | None:
-    """Return the error of the mean electrons if a stack is one scale for all pixels, unless it
+    """Return the error of the mean electrons if a stack is one scale for all pixels; None where it
     exceeds `allowed`.
 
     With one scale each pixel collects what a pixel on axis collects of uniform light, and no light
@@ -226,10 +226,9 @@ def kernel_on_axis(physics: PixelPhysics, light: Illumination) -> Array:
 def shading_of(
     collection: Collection | ColourCollection | None, shape: tuple[int, int], correction: Correction
 ) -> Array | None:
-    """Return the shading by which a correction divides a frame, (rows, columns), if any:
-    `Collection.relative`.
+    """Return the shading by which a correction divides a frame, (rows, columns).
 
-    Flat frames already have it.
+    It is `Collection.relative`. None without shading, and with flat frames, which have it already.
     """
     if collection is None or collection.is_scale or correction.flat_frames:
         return None
@@ -261,7 +260,9 @@ _Measurement = tuple[Stack, float]
 
 
 def measurement(physics: PixelPhysics) -> _Measurement | None:
-    """Return how the quantum efficiency was measured on a whole pixel, if it was."""
+    """Return the stack and f-number of a quantum efficiency measured on a whole pixel, else
+    None.
+    """
     stack = physics.efficiency_stack
     f_number = physics.efficiency_f_number
     if stack is None or f_number is None:
@@ -312,8 +313,8 @@ def stack_shares(
 
 
 def min_fresnel_number(physics: PixelPhysics, wavelength_nm: Array) -> float | None:
-    """Return the Fresnel number of a pixel's microlens, if it has one, at the longest wavelength to
-    which it responds.
+    """Return the Fresnel number of a pixel's microlens at the longest wavelength to which the pixel
+    responds; None without a microlens.
     """
     if physics.stack is None or not physics.stack.microlens:
         return None
@@ -542,8 +543,8 @@ def collections_of(
 
 @dataclass(frozen=True)
 class ColourCollection:
-    """What the stack of a colour sensor's pixels makes of uniform white light: neighbours collect
-    it through filters of other colours.
+    """Shares of uniform white light that pixels of a colour sensor collect through their stack,
+    partly through the filters of their neighbours.
 
     layout : of the pixels
     collections : of each channel's light

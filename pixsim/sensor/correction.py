@@ -1,8 +1,8 @@
 """Correction of a frame as cameras do it: dark frames, flat frames, dark rows of each column, and
 defective pixels.
 
-Every frame behind it is simulated with the same sensor, so the result has the residual noise of its
-own correction.
+All frames that a correction needs are simulated with the same sensor, so the result has the
+residual noise of its correction.
 """
 
 from __future__ import annotations
@@ -268,21 +268,20 @@ def residual_variance_e2(
     >>> round(residual_variance_e2(2e4, 0.01, pixel, Correction()).gain, 6)  # (0.01 · 20000)²
     40000.0
     """
-    p = readout
-    dark_e = p.dark_current_e_per_s * integration_s
-    dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e
-    dark_variance += p.rounding_variance_dn2 / p.dn_per_e**2
+    dark_e = readout.dark_current_e_per_s * integration_s
+    dark_variance = float(variance_e2(readout, is_temporal=True)) + dark_e
+    dark_variance += readout.rounding_variance_dn2 / readout.dn_per_e**2
     clamp = 1 / correction.column_clamp if correction.column_clamp else 0.0  # noise of dark rows
 
-    fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)
+    fixed = partial(variance_e2, readout, dark_e=dark_e, is_temporal=False)
     column_e2 = 0.0 if correction.column_clamp else float(fixed(along="column"))
     offsets: Array | float = float(fixed(along="pixel")) * (1 + clamp) + column_e2
     if correction.dark_frames:
         offsets = dark_variance * (1 + clamp) / correction.dark_frames
     flat: Array | float = 0.0
-    gain: Array | float = (p.prnu * signal_e) ** 2
+    gain: Array | float = (readout.prnu * signal_e) ** 2
     if correction.flat_frames:
-        level_e = flat_light_e(p, correction, integration_s)
+        level_e = flat_light_e(readout, correction, integration_s)
         ratio = signal_e / level_e
         offsets *= (1 - ratio) ** 2
         flat = ratio**2 * (level_e + dark_variance * (1 + clamp)) / correction.flat_frames

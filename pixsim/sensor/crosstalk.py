@@ -1,6 +1,4 @@
-"""Light of one pixel that the photodiodes around it collect, over the whole array, before any
-noise.
-"""
+"""Crosstalk: light on a pixel that its neighbours collect, over the whole array, without noise."""
 
 from __future__ import annotations
 
@@ -39,18 +37,20 @@ def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> 
             "(5, 5), or (y, x, 5, 5) with at least one point",
         )
     nodes = shares.reshape(*(shares.shape[:-2] or (1, 1)), 5, 5)
-    return _collected(signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "symmetric")
+    return _collect_from_neighbours(
+        signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "symmetric"
+    )
 
 
 def share_with_neighbours_of_channels(
     signal_e_per_s: NotNegativePicture, shares: Sequence[Array], channels: NDArray[np.intp]
 ) -> Array:
-    """Return `share_with_neighbours` of light that falls through the filters of a mosaic, each with
-    shares of its own.
+    """Return what each pixel of a mosaic collects, (rows, columns), with other shares for the light
+    of each channel.
 
-    It is the sum over the channels of their light alone, in the time of one of them. At the border
-    the picture is reflected about the centres of the outermost pixels, which keeps the phase of the
-    mosaic, not about their edges.
+    It equals the sum over the channels of `share_with_neighbours` of their light alone. At the
+    border the picture is reflected about the centres of the outermost pixels, which keeps the phase
+    of the mosaic, not about their edges.
 
     signal_e_per_s : (rows, columns) of the light on pixels, through their own filters
     shares : of each channel's light
@@ -58,13 +58,13 @@ def share_with_neighbours_of_channels(
     """
     points = np.broadcast_shapes(*(share.shape[:-2] or (1, 1) for share in shares))
     nodes = [np.broadcast_to(share, (*points, 5, 5)) for share in shares]
-    return _collected(signal_e_per_s, nodes, channels, "reflect")
+    return _collect_from_neighbours(signal_e_per_s, nodes, channels, "reflect")
 
 
 REACH = 2  # pixels to the farthest neighbour
 
 
-def _collected(
+def _collect_from_neighbours(
     signal_e_per_s: Array,
     nodes: Sequence[Array],
     channels: NDArray[np.intp],

@@ -106,15 +106,15 @@ def diffusion_mtf(
     alpha = np.asarray(absorption_per_um, float)
     angular_per_um = 2e-3 * np.pi * np.asarray(frequency_cy_per_mm, float)
     length_um = 1 / np.sqrt(diffusion_length_um**-2.0 + angular_per_um**2)
-    total = _collected(alpha, depletion_um, diffusion_length_um)
-    return _collected(alpha, depletion_um, length_um) / total
+    total = _collected_fraction(alpha, depletion_um, diffusion_length_um)
+    return _collected_fraction(alpha, depletion_um, length_um) / total
 
 
-def _collected(alpha: Array, depletion_um: float, length_um: Array | float) -> Array:
+def _collected_fraction(alpha: Array, depletion_um: float, length_um: Array | float) -> Array:
     """Return 1 - e^(-αL_D)/(1 + αL), (...), without cancellation for small α."""
-    fixed = -np.expm1(-alpha * depletion_um)
-    walked = alpha * length_um / (1 + alpha * length_um)
-    return np.asarray(fixed + (1 - fixed) * walked)
+    depletion_share = -np.expm1(-alpha * depletion_um)
+    diffusion_share = alpha * length_um / (1 + alpha * length_um)
+    return np.asarray(depletion_share + (1 - depletion_share) * diffusion_share)
 
 
 def diffused_shares(
@@ -143,22 +143,26 @@ def diffused_shares(
     low = np.log(_MIN_WALK * np.minimum(1 / alpha, diffusion_length_um))
     high = math.log(_MAX_WALK * diffusion_length_um)
     walk = np.exp(low + (high - low) * (1 + NODES) / 2)  # √τ
-    steep = alpha * walk
+    walk_over_depth = alpha * walk
     # 2/√π - 2x erfcx(x), by its expansion where the difference cancels
     slope = np.where(
-        steep < 1e3,
-        2 / np.sqrt(np.pi) - 2 * steep * erfcx(steep),
-        1 / (np.sqrt(np.pi) * np.maximum(steep, 1e3) ** 2),
+        walk_over_depth < 1e3,
+        2 / np.sqrt(np.pi) - 2 * walk_over_depth * erfcx(walk_over_depth),
+        1 / (np.sqrt(np.pi) * np.maximum(walk_over_depth, 1e3) ** 2),
     )
-    weight = steep * slope * np.exp(-((walk / diffusion_length_um) ** 2)) * WEIGHTS
+    weight = walk_over_depth * slope * np.exp(-((walk / diffusion_length_um) ** 2)) * WEIGHTS
     weight /= weight.sum(axis=-1, keepdims=True)  # (..., walks); a common factor is left out
     line = _gaussian_shares(pitch_um, side_um, 2 * walk)  # (..., walks, 5)
     spread = np.swapaxes(line * weight[..., None], -1, -2) @ line
-    at_once = _gaussian_shares(pitch_um, side_um, np.zeros(1))[0]
-    fixed = -np.expm1(-alpha * depletion_um)
-    walked = (1 - fixed) * alpha * diffusion_length_um / (1 + alpha * diffusion_length_um)
-    part = (walked / (fixed + walked))[..., None]
-    return np.asarray((1 - part) * np.outer(at_once, at_once) + part * spread)
+    undiffused_line = _gaussian_shares(pitch_um, side_um, np.zeros(1))[0]
+    depletion_share = -np.expm1(-alpha * depletion_um)
+    diffusion_share = (
+        (1 - depletion_share) * alpha * diffusion_length_um / (1 + alpha * diffusion_length_um)
+    )
+    diffused_part = (diffusion_share / (depletion_share + diffusion_share))[..., None]
+    return np.asarray(
+        (1 - diffused_part) * np.outer(undiffused_line, undiffused_line) + diffused_part * spread
+    )
 
 
 def spread_shares(optical: Array, diffused: Array) -> Array:

@@ -44,8 +44,8 @@ def burst_modulation(exposure: Exposure, time_s: float) -> float:
 
 
 def clipped_light(limit: float, modulation: float) -> float:
-    """Return the mean of min(1 + m cos θ, limit) over all phases θ: the remainder of flickering
-    light of mean 1 that clips.
+    """Return the mean of min(1 + m cos θ, limit) over all phases θ: flickering light of mean 1
+    after clipping.
 
     With the limit reached at θ = c, cos c = (limit - 1)/m, it is (limit c + π - c - m sin c)/π.
 
@@ -65,8 +65,8 @@ def clipped_light(limit: float, modulation: float) -> float:
 def row_gains(
     time_s: float, rows: int, exposure: Exposure, rng: np.random.Generator
 ) -> tuple[Array, ...]:
-    """Return the light of each row, (rows,), in each exposure of a frame over its mean; nothing
-    where it is steady.
+    """Return the light of each row relative to its mean, (rows,), in each exposure of a frame;
+    empty for steady light.
 
     The phase is the one at mid exposure of the middle of the rows. It is drawn beside the frame's
     noise, which stays the same as in steady light.

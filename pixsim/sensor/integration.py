@@ -49,7 +49,7 @@ from pixsim.sensor.collection import (
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
-from pixsim.sensor.motion import STANDING, LightSpectrum, Moving, shifted_rows
+from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum, shifted_rows
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
 from pixsim.sensor.unit_slips import slip_hint
 
@@ -68,8 +68,8 @@ SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cub
 def _map_columns(
     picture: Array, axis: int, count: int, function: Callable[[slice, Array], Array]
 ) -> Array:
-    """Apply `function`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an
-    axis, by strips for memory.
+    """Apply `function`, (slice, (n, columns)) -> (count, columns), to strips of a picture (H, W)
+    along an axis.
     """
     if axis == 1:
         return _map_columns(picture.T, 0, count, function).T
@@ -160,7 +160,7 @@ class _RunningIntegral:
         differences between neighbouring coefficients, down and across, of the spline in both
         directions: as small as the light nearby, so that sums of them are exact also beside light
         that is much brighter
-    both_ways : whether they are such differences
+    both_ways : whether the coefficients are such differences
     """
 
     coefficients: Array = field(repr=False)
@@ -384,8 +384,8 @@ def response_within(physics: PixelPhysics, image: SpectralImage) -> Callable[[Ar
 
 
 def diffracted_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:
-    """Return `diffracted_rates` of one channel, or of the mean response of a colour sensor, (H,
-    W).
+    """Return electrons s⁻¹ µm⁻² of photodiode behind a diffracting lens, (H, W), for one channel or
+    for the mean response of a colour sensor.
     """
     return diffracted_rates(irradiance, camera, [physics])[0]
 
@@ -411,8 +411,10 @@ def diffracted(
     weights: Sequence[Array],
     blur: Callable[[Array, float], Array] | None,
 ) -> list[Array]:
-    """Return `diffracted_rates` of any weights, [(B,)] per W m⁻² nm⁻¹, with the further MTF of
-    `diffract_sum`: per µm².
+    """Return light behind a diffracting lens, [(H, W)] per µm², weighted by band.
+
+    weights : [(B,)] per W m⁻² nm⁻¹
+    blur : a further MTF, as `diffract_sum` takes it, or None
     """
     focused, veils = split_by_veil(irradiance, camera, weights)
     rates = _blurred(irradiance, camera, focused, blur)
@@ -448,7 +450,7 @@ def _blurred(
     weights: Sequence[Array],
     blur: Callable[[Array, float], Array] | None,
 ) -> list[Array]:
-    """Return `diffracted` without veil."""
+    """Return `diffracted` without veiling glare, [(H, W)]."""
     tiling = tiling_of(irradiance, camera)
     if tiling is not None:
         return [
@@ -821,7 +823,7 @@ def integrate_pixels(
     size_um: tuple[float, float] | None = None,
     only: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None,
     first_um: tuple[float, float] | None = None,
-    moves: Moves | None = None,
+    moving_picture: MovingPicture | None = None,
 ) -> Array:
     """Integrate a picture over the square, centred photodiodes of a pixel array on it.
 
@@ -851,11 +853,11 @@ def integrate_pixels(
         y_um = y_um[0][only[0]], y_um[1][only[0]]
         x_um = x_um[0][only[1]], x_um[1][only[1]]
 
-    if moves is not None:
-        lines = moves.lines(rows)
+    if moving_picture is not None:
+        lines = moving_picture.lines(rows)
         if only is not None:
             lines = lines[only[0]]
-        return _integrate_moving(moves, sample_pitch_um, y_um, x_um, lines)
+        return _integrate_moving(moving_picture, sample_pitch_um, y_um, x_um, lines)
 
     if running is not None and running.both_ways:
         integral = _integrate_both_ways(running, sample_pitch_um, y_um, x_um)
@@ -868,7 +870,7 @@ def integrate_pixels(
 
 
 @dataclass(frozen=True)
-class Moves:
+class MovingPicture:
     """A picture that moves over the pixels.
 
     spectrum : of the picture
@@ -877,7 +879,7 @@ class Moves:
     """
 
     spectrum: LightSpectrum
-    moving: Moving
+    image_motion: ImageMotion
     bin_side: int = 1
 
     def lines(self, rows: int) -> Array:
@@ -889,7 +891,7 @@ class Moves:
 
 
 def _integrate_moving(
-    moves: Moves,
+    moving_picture: MovingPicture,
     sample_pitch_um: float,
     y_um: tuple[Array, Array],
     x_um: tuple[Array, Array],
@@ -900,21 +902,23 @@ def _integrate_moving(
 
     lines : (rows,) numbers of the lines, `Moves.lines`
     """
-    moving = moves.moving
-    path = moving.path_um[0] / sample_pitch_um, moving.path_um[1] / sample_pitch_um
-    shift = np.array(moving.shift_um)[:, None] + np.array(moving.row_um)[:, None] * lines
+    image_motion = moving_picture.image_motion
+    path = image_motion.path_um[0] / sample_pitch_um, image_motion.path_um[1] / sample_pitch_um
+    shift = (
+        np.array(image_motion.shift_um)[:, None] + np.array(image_motion.row_um)[:, None] * lines
+    )
     shift /= sample_pitch_um
     y_cells = y_um[0] / sample_pitch_um, y_um[1] / sample_pitch_um
     x_cells = x_um[0] / sample_pitch_um, x_um[1] / sample_pitch_um
-    integral = moves.spectrum.integrals(y_cells, x_cells, path, shift)
+    integral = moving_picture.spectrum.integrals(y_cells, x_cells, path, shift)
     if integral.min() >= 0:
         integral *= sample_pitch_um**2
         return integral
 
     # What rings below zero is averaged along its path first, and limited as if it stood still.
     shift_um = shift[0] * sample_pitch_um
-    lowest = min(0.0, float(moves.spectrum.samples.min()))
-    blurred = np.maximum(moves.spectrum.blurred(path), lowest)
+    lowest = min(0.0, float(moving_picture.spectrum.samples.min()))
+    blurred = np.maximum(moving_picture.spectrum.blurred(path), lowest)
     down = integrate_axis(blurred, sample_pitch_um, y_um[0] - shift_um, y_um[1] - shift_um, axis=0)
     return integrate_axis(shifted_rows(down, shift[1]), sample_pitch_um, *x_um, axis=1)
 
@@ -964,10 +968,10 @@ def illumination_of(
 ) -> Illumination:
     """Return the directions and the mean spectrum of the light on the pixels."""
     stated = irradiance.header.get("spare_e")  # a file may state anything
-    spare_e = stated if isinstance(stated, float) and 0 < stated < 1 else 0.0
+    tolerance = stated if isinstance(stated, float) and 0 < stated < 1 else 0.0
     electrons = electrons_per_joule(physics, irradiance)
     return illumination(
-        camera, irradiance.wavelength_nm, electrons, irradiance.mean_spectrum(), spare_e
+        camera, irradiance.wavelength_nm, electrons, irradiance.mean_spectrum(), tolerance
     )
 
 
@@ -1021,7 +1025,7 @@ def _pixel_signal(
     light: Illumination,
     running: _RunningIntegral | None = None,
     size_um: tuple[float, float] | None = None,
-    moves: Moves | None = None,
+    moving_picture: MovingPicture | None = None,
 ) -> tuple[Array, Collection | None]:
     """Return the mean photo-electrons per second of every pixel, (rows, columns), and the
     collection of its stack, if it has one.
@@ -1043,7 +1047,7 @@ def _pixel_signal(
         running=running,
         size_um=pixels_um,
         first_um=first_um,
-        moves=moves,
+        moving_picture=moving_picture,
     )
     signal = np.maximum(signal, 0.0, order="C")  # frames are made row by row
     if collection is not None:
@@ -1080,11 +1084,13 @@ class ChannelLight:
         """Spectrum of the picture, for light that moves."""
         return LightSpectrum(self.rate_e_per_s_um2)
 
-    def moves(self, moving: Moving, physics: PixelPhysics) -> Moves | None:
-        """Return how the light moves over the pixels, if it does."""
-        if not moving.is_on:
+    def moving_picture(
+        self, image_motion: ImageMotion, physics: PixelPhysics
+    ) -> MovingPicture | None:
+        """Return the picture as it moves over the pixels, or None where it stands still."""
+        if not image_motion.is_on:
             return None
-        return Moves(self.spectrum, moving, physics.pixel.bin_side)
+        return MovingPicture(self.spectrum, image_motion, physics.pixel.bin_side)
 
 
 def lights_of(
@@ -1101,7 +1107,7 @@ def array_signal(
     sample_pitch_um: float,
     physics: PixelPhysics,
     size_um: tuple[float, float] | None = None,
-    moving: Moving = STANDING,
+    image_motion: ImageMotion = NO_IMAGE_MOTION,
 ) -> tuple[Array, tuple[Collection, ...]]:
     """Return the mean photo-electrons per second of every value of a frame, and the collection of
     each channel, if any.
@@ -1114,18 +1120,18 @@ def array_signal(
     """
     layout = Layout.unbinned(physics.pixel)
     if layout is not None:
-        return _mosaic_signal(lights, sample_pitch_um, physics, layout, size_um, moving)
+        return _mosaic_signal(lights, sample_pitch_um, physics, layout, size_um, image_motion)
 
     light = lights[0]
-    moves = light.moves(moving, physics)
+    moving_picture = light.moving_picture(image_motion, physics)
     signal, collection = _pixel_signal(
         light.rate_e_per_s_um2,
         sample_pitch_um,
         physics,
         light.illumination,
-        running=None if moves else light.running_integral,
+        running=None if moving_picture else light.running_integral,
         size_um=size_um,
-        moves=moves,
+        moving_picture=moving_picture,
     )
     return signal, () if collection is None else (collection,)
 
@@ -1136,9 +1142,10 @@ def _mosaic_signal(
     physics: PixelPhysics,
     layout: Layout,
     size_um: tuple[float, float] | None,
-    moving: Moving,
+    image_motion: ImageMotion,
 ) -> tuple[Array, tuple[Collection, ...]]:
-    """Return `array_signal` of a sensor with colour filters.
+    """Return the electrons per second of every value of a mosaic or stacked frame, and the
+    collections of its channels, as `array_signal`.
 
     layout : of the pixels, before binning
     """
@@ -1152,8 +1159,8 @@ def _mosaic_signal(
     signal = np.empty((rows * layout.planes, columns))
     height, width = layout.period
     for number, (letter, light) in enumerate(zip(layout.channels, lights, strict=True)):
-        moves = light.moves(moving, physics)
-        running = None if moves else light.running_integral
+        moving_picture = light.moving_picture(image_motion, physics)
+        running = None if moving_picture else light.running_integral
         first_row = number * rows if layout.is_stacked else 0
         for site_rows, site_columns in layout.sites(letter):
             channel_rows = np.flatnonzero(np.isin(np.arange(rows) % height, site_rows))
@@ -1169,7 +1176,7 @@ def _mosaic_signal(
                     size_um=pixels_um,
                     only=(channel_rows, channel_columns),
                     first_um=first_um,
-                    moves=moves,
+                    moving_picture=moving_picture,
                 )
     np.maximum(signal, 0.0, out=signal)
 
@@ -1185,22 +1192,24 @@ def moved_signals(
     sample_pitch_um: float,
     physics: PixelPhysics,
     size_um: tuple[float, float] | None,
-    moving: Moving,
+    image_motion: ImageMotion,
     count: int,
 ) -> tuple[Array, tuple[Array, ...]]:
-    """Return `array_signal` of light that moves in the whole frame, and in each subexposure of a
-    burst; no second ones if they are all the same.
+    """Return the electrons per second of moving light in the whole frame, and in each subexposure
+    of a burst.
+
+    The second are empty where all subexposures are the same.
 
     moving : in the whole frame
     count : number of subexposures that are summed to it
     """
 
-    def signal(moving: Moving) -> Array:
-        return array_signal(lights, sample_pitch_um, physics, size_um, moving)[0]
+    def signal(image_motion: ImageMotion) -> Array:
+        return array_signal(lights, sample_pitch_um, physics, size_um, image_motion)[0]
 
-    differ = count > 1 and any(moving.path_um)
-    subexposures = moving.subexposures(count) if differ else []
-    return signal(moving), tuple(map(signal, subexposures))
+    differ = count > 1 and any(image_motion.path_um)
+    subexposures = image_motion.subexposures(count) if differ else []
+    return signal(image_motion), tuple(map(signal, subexposures))
 
 
 def mean_signal_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> Array:

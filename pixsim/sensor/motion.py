@@ -1,4 +1,4 @@
-"""Light that moves over the pixels while they are exposed, and that each row sees at another time.
+"""Motion blur and rolling shutter: light that moves over the pixels while they are exposed.
 
 Along a path of length L the light is averaged: its spectrum is multiplied by sinc(f · L), with the
 frequency along the path. In the DCT-II basis, where the picture goes on by reflection, this is
@@ -35,8 +35,8 @@ _QUINTIC_B_SPLINE = (66 / 120, 52 / 120, 2 / 120)
 
 
 @dataclass(frozen=True)
-class Moving:
-    """How the light moves over the pixels of a frame, in µm, down and across.
+class ImageMotion:
+    """Motion of the image over the pixels of a frame, in µm, down and across.
 
     path_um : while a row is exposed
     row_um : from one row that is read to the next
@@ -57,31 +57,35 @@ class Moving:
         """The path along its longer axis."""
         return max(map(abs, self.path_um))
 
-    def subexposures(self, count: int) -> list[Moving]:
-        """Return the motion in each subexposure of a burst, which follow one another at once."""
+    def subexposures(self, count: int) -> list[ImageMotion]:
+        """Return the motion in each subexposure of a burst without gaps in time."""
         down, across = (path / count for path in self.path_um)
         numbers = np.arange(count) - (count - 1) / 2
         return [
-            Moving((down, across), self.row_um, (number * down, number * across))
+            ImageMotion((down, across), self.row_um, (number * down, number * across))
             for number in numbers.tolist()
         ]
 
 
-STANDING = Moving((0.0, 0.0))
+NO_IMAGE_MOTION = ImageMotion((0.0, 0.0))
 
 
-def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) -> Moving:
-    """Return how light of a velocity [x, y] on the sensor moves in the time of a frame."""
+def motion_in_frame(
+    um_per_s: tuple[float, float], time_s: float, exposure: Exposure
+) -> ImageMotion:
+    """Return the motion in the time of a frame of an image with a velocity [x, y] on the
+    sensor.
+    """
     across, down = um_per_s
     line_s = exposure.line_time_s
     row_um = (down * line_s, across * line_s) if line_s else (0.0, 0.0)
-    return Moving((down * time_s, across * time_s), row_um)
+    return ImageMotion((down * time_s, across * time_s), row_um)
 
 
 @dataclass(frozen=True)
 class _SlantedSpectrum:
-    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², the denominator of
-    `averaged` for a path of length 1.
+    """Spectrum (H, W) of a picture over a² - b², the denominator of `averaged` for a path of length
+    1, for all slanted paths of one direction.
 
     direction : down and across, the larger one 1 or -1
     over : the quotient, 0 where a and ±b are equal to `NEAR`
@@ -96,7 +100,7 @@ class _SlantedSpectrum:
 
     @classmethod
     def of(cls, spectrum: Array, direction: tuple[float, float]) -> _SlantedSpectrum:
-        """Return what slanted paths of a direction over a spectrum (H, W) share."""
+        """Return the quotient of a spectrum (H, W) for slanted paths of a direction."""
         down, across = _angles(spectrum.shape, direction)
         over = empty_planes(*spectrum.shape)
         near: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
@@ -113,8 +117,8 @@ class _SlantedSpectrum:
         return cls(direction, over, (row, column), spectrum[row, column])
 
     def averaged(self, length: float) -> tuple[Array, Array]:
-        """Return what a path leaves of the spectrum as products of cosines, and as products of
-        sines, (H, W) each.
+        """Return the spectrum averaged along a path, as products of cosines and products of sines,
+        (H, W) each.
 
         The first row of the sines has the frequency 1; the last row is 0.
 
@@ -177,7 +181,7 @@ def _difference_of_products(
 
 @dataclass(frozen=True)
 class LightSpectrum:
-    """Spectrum of a picture (H, W), which all paths over it share.
+    """Spectrum of a picture (H, W), for paths of any length and direction.
 
     samples : means over square cells
     """
@@ -244,7 +248,7 @@ class LightSpectrum:
         return spectra
 
     def _slanted_along(self, direction: tuple[float, float]) -> _SlantedSpectrum:
-        """Return what slanted paths of a direction share; the last direction is cached."""
+        """Return the quotient for slanted paths of a direction; the last one is cached."""
         if self._slanted and self._slanted[0].direction == direction:
             return self._slanted[0]
         slanted = _SlantedSpectrum.of(self.spline_dct, direction)
@@ -356,7 +360,7 @@ def _rounded(path_cells: tuple[float, float]) -> tuple[float, float]:
 
 
 def _averaged_along(spectrum: Array, path_cells: tuple[float, float]) -> Array:
-    """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a new plane."""
+    """Return a spectrum (H, W) averaged along a path on one axis, or along none, in a new plane."""
     down, across = _angles(spectrum.shape, path_cells)
     sinc = np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi)
     result = empty_planes(*spectrum.shape)
@@ -466,13 +470,14 @@ def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[
     return x * scale, y * scale
 
 
-def room_um(
+def motion_margin_um(
     motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]
 ) -> float:
-    """Return the width on each side of the die that is left to light from beyond it: half of the
+    """Return the width on each side of the die that light from beyond it can reach, half of the
     longest path on the sensor.
 
-    With a rolling shutter the first and the last rows see the scene displaced, too.
+    It is 0 without motion. With a rolling shutter the first and the last rows see the scene
+    displaced, too.
 
     pixels : pitches in µm of the largest and the smallest ones, and how many along a side are read
         as one
@@ -491,25 +496,25 @@ def room_um(
     return max(widths_um)
 
 
-def border_with_room_um(
+def border_with_motion_um(
     border_um: float,
     motion: Motion,
     exposure: Exposure,
     camera: Camera,
     pixels: Iterable[tuple[float, int]],
 ) -> float:
-    """Return the width on each side of the die that is not scored: `border_um` and `room_um`.
+    """Return the width on each side of the die that is not scored, for border pixels and motion.
 
     border_um : width that pixels leave, `PixelPhysics.border_um`
 
     Raises PixsimError if nothing would be left to score.
     """
-    spare_um = room_um(motion, exposure, camera, pixels)
+    margin_um = motion_margin_um(motion, exposure, camera, pixels)
     die_side_um = 1e3 * min(camera.die_mm, camera.height_mm)
-    if spare_um and 2 * (border_um + spare_um) >= die_side_um:
-        got = f"a margin of {spare_um:g} µm"
+    if margin_um and 2 * (border_um + margin_um) >= die_side_um:
+        got = f"a margin of {margin_um:g} µm"
         if motion.margin_um is None:
-            got = f"a path of up to {2 * spare_um:.4g} µm on the sensor"
+            got = f"a path of up to {2 * margin_um:.4g} µm on the sensor"
         allowed = (
             "one that leaves something to score, a path below"
             f" {max(0.0, die_side_um - 2 * border_um):.4g} µm, twice its margin"
@@ -519,4 +524,4 @@ def border_with_room_um(
             f" ({', '.join(VELOCITIES)})."
         )
         raise invalid("motion", got, allowed, hint)
-    return border_um + spare_um
+    return border_um + margin_um

@@ -43,10 +43,9 @@ class Motion(Record):
     margin_um: Annotated[float, Field(ge=0, le=1e6)] | None = Field(
         None,
         description=(
-            "width on each side of the die that is not scored, in addition to that of the"
-            " pixels, for light that"
-            " comes from beyond it: at least half of the longest path on the sensor (absent:"
-            " that half). Cases with one margin score the same part"
+            "width on each side of the die that is not scored, in addition to that of the pixels,"
+            " for light that comes from beyond it: at least half of the longest path on the sensor"
+            " (absent: that half). Cases with one margin score the same part"
         ),
     )
 
@@ -56,21 +55,18 @@ class Motion(Record):
         return any(any(getattr(self, name) or ()) for name in VELOCITIES)
 
 
-STILL = Motion()
+NO_MOTION = Motion()
 
 
-def motion_words(motion: Motion) -> str:
+def motion_text(motion: Motion) -> str:
     """Return what moves in words; empty if nothing does."""
-    units = {
+    templates = {
         "velocity_mm_per_s": "objects move by {:g}, {:g} mm/s",
         "image_um_per_s": "the image moves by {:g}, {:g} µm/s",
+        "pixels_per_s": "the image moves by {:g}, {:g} pixels/s",
     }
-    units["pixels_per_s"] = "the image moves by {:g}, {:g} pixels/s"
-    return next(
-        (
-            units[name].format(*getattr(motion, name))
-            for name in VELOCITIES
-            if any(getattr(motion, name) or ())
-        ),
-        "",
-    )
+    for name, template in templates.items():
+        velocity = getattr(motion, name) or ()
+        if any(velocity):
+            return template.format(*velocity)
+    return ""

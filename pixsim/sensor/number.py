@@ -1,4 +1,4 @@
-"""What there is to know of a number of [pixel] beside its type, its unit and its words."""
+"""Metadata of the fields of [pixel]: example, synonyms in data sheets, scaling."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from pixsim.base.problems import Words
 
 @dataclass(frozen=True)
 class Number(Words):
-    """What there is to know of a field of [pixel] beside its type, its unit (in its name) and its
-    words.
+    """Metadata of a field of [pixel] beside its type, unit (in its name) and description.
 
     example : plausible value, for templates
     stands_for : fields in whose place it may be given: it is another word for them, of data sheets

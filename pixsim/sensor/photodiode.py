@@ -347,12 +347,12 @@ def _tabulate(
 
 @lru_cache(maxsize=64)
 def level_table(
-    diode: Diode, full_well_e: float, integration_s: float | None, bent: bool
+    diode: Diode, full_well_e: float, integration_s: float | None, is_nonlinear: bool
 ) -> _LevelTable:
     """Tabulate a well limit and a conversion, to 1e-6 of the well.
 
     integration_s : None for the hard clip of `swing`
-    bent : whether the conversion is V(Q)
+    is_nonlinear : whether the conversion is V(Q)
     """
 
     def level(log_generated: Array) -> Array:
@@ -360,13 +360,13 @@ def level_table(
         if integration_s is not None:
             stored = stored_charge_e(stored, integration_s, diode)
         stored = np.minimum(stored, _MAX_STORED * full_well_e)
-        return converted_e(stored, full_well_e, diode) if bent else stored
+        return converted_e(stored, full_well_e, diode) if is_nonlinear else stored
 
     first_e = LINEAR_WITHIN * full_well_e
     last_e = full_well_e
     if integration_s is not None:
         last_e = _MAX_GENERATED * full_well_e
-        if not bent:
+        if not is_nonlinear:
             limit_e = linear_limit_e(diode, full_well_e, integration_s)
             first_e = _LINEAR_SHARE * min(limit_e, full_well_e)
 
@@ -422,14 +422,14 @@ def stored_signal_e(generated_e: Array, integration_s: float, readout: Readout) 
     """
     diode = readout.physics.diode
     full_well_e = readout.full_well_e
-    is_bent = not responds_linearly(readout.physics)
+    is_nonlinear = not responds_linearly(readout.physics)
     has_hard_clip = readout.physics.pixel.well_limit == "swing"
-    if diode is None or (has_hard_clip and not is_bent):
+    if diode is None or (has_hard_clip and not is_nonlinear):
         return np.minimum(generated_e, full_well_e)
 
-    if not is_bent:
+    if not is_nonlinear:
         limit_e = linear_limit_e(diode, full_well_e, integration_s)
         if generated_e.max(initial=0.0) <= limit_e:
             return generated_e
-    table = level_table(diode, full_well_e, None if has_hard_clip else integration_s, is_bent)
+    table = level_table(diode, full_well_e, None if has_hard_clip else integration_s, is_nonlinear)
     return table(generated_e)

@@ -130,8 +130,9 @@ def junction_charge_fc(
 
 @dataclass(frozen=True)
 class Diode:
-    """A photodiode as a discharging junction; its saturation current is its dark current in reverse
-    bias.
+    """A photodiode that discharges as a junction.
+
+    The saturation current equals the dark current in reverse bias.
     """
 
     area_um2: float

@@ -1,6 +1,4 @@
-"""What a user should know of a pixel and of the light that it sees: units, focus, light beyond a
-table, scales.
-"""
+"""Notes on a pixel and its light: units, focus, light beyond a table, scales of channels."""
 
 from __future__ import annotations
 
@@ -22,14 +20,14 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.spectral_range import CENTRES_NM, EDGES_NM, NOTED_SHARE, OUTSIDE
 from pixsim.sensor.unit_slips import unit_slips
 
-_BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
+_BLURRED_PIXELS = 2.0  # diameter of the blur disc, in pixels, above which there is a note
 
 
 def pixel_notes(
     physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None
 ) -> list[Note]:
-    """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves
-    out of its light.
+    """Return notes on numbers of a pixel that may be in another unit, and on light that its model
+    leaves out.
 
     camera, irradiance : the light on the sensor and the camera in front of it, if they are known
     """
@@ -40,24 +38,24 @@ def pixel_notes(
     notes += stack_notes(physics, camera, irradiance.wavelength_nm)
     sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
     if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
-        words = (
+        text = (
             f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own"
             " peak; their ratio is unknown, and with it the noise before white balance. Balanced"
             " colours do not depend on it"
         )
-        notes.append(Note("assumed", words=words))
+        notes.append(Note("assumed", words=text))
     notes += focus_notes(physics.read_pitch_um, camera, irradiance)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)
         if share > NOTED_SHARE:
             end_nm, last = curve[-1]
             filter_nm = setting("pixel.infrared_cut_nm", end_nm)
-            words = (
+            text = (
                 f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so,"
                 f" {percent(share)} of the electrons would come from there. Extend the table, or"
                 f" state a filter ({filter_nm})"
             )
-            notes.append(Note("spectral_range", words=words))
+            notes.append(Note("spectral_range", words=text))
     return notes
 
 

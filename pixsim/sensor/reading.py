@@ -218,14 +218,14 @@ class Readout:
         """Dark currents relative to their mean: of ordinary pixels, and of pixels that are hot or,
         after binning, partly hot.
         """
-        p = self.physics
+        physics = self.physics
         others = self._pixels - 1
-        fraction = p.hot_pixel_fraction
-        median = p.hot_pixel_median
+        fraction = physics.hot_pixel_fraction
+        median = physics.hot_pixel_median
         if fraction and others:
             fraction = 1 - (1 - fraction) ** self._pixels
             median = (median + others) / self._pixels
-        return DarkSpread(p.dsnu / self.bin_side, fraction, median, p.hot_pixel_spread)
+        return DarkSpread(physics.dsnu / self.bin_side, fraction, median, physics.hot_pixel_spread)
 
     @property
     def black_level_dn(self) -> float:

@@ -35,7 +35,7 @@ from pixsim.sensor.integration import (
     moved_signals,
     pixels_on,
 )
-from pixsim.sensor.motion import Moving, moving_in, velocity_um_per_s
+from pixsim.sensor.motion import ImageMotion, motion_in_frame, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import (
@@ -101,7 +101,7 @@ def integration_time_s(
 
 def metered_motion(
     still_e_per_s: Array, readout: Readout, exposure: Exposure, um_per_s: tuple[float, float]
-) -> tuple[Moving, Exposure]:
+) -> tuple[ImageMotion, Exposure]:
     """Return how light moves in a frame that is metered on the picture that stands still, and the
     exposure with its time.
 
@@ -109,7 +109,7 @@ def metered_motion(
     um_per_s : velocity [x, y] of the image on the sensor
     """
     time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
-    return moving_in(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
+    return motion_in_frame(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
 
 
 # --- fixed pattern
@@ -143,19 +143,19 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
     have negative currents; hot pixels (`pixsim.sensor.mismatch`) have a stream of their own, so
     that all other maps are the same as without them.
     """
-    p = readout.burst(1)
+    exposure_readout = readout.burst(1)
     dark_spread = readout.dark_spread
-    dark_differs = p.dark_current_e_per_s > 0 and not dark_spread.is_uniform
-    pixel_spread_e = constant_e(p, is_temporal=False, along="pixel")
-    column_spread_e = constant_e(p, is_temporal=False, along="column")
-    gain = np.empty(shape) if p.prnu else None
+    dark_differs = exposure_readout.dark_current_e_per_s > 0 and not dark_spread.is_uniform
+    pixel_spread_e = constant_e(exposure_readout, is_temporal=False, along="pixel")
+    column_spread_e = constant_e(exposure_readout, is_temporal=False, along="column")
+    gain = np.empty(shape) if exposure_readout.prnu else None
     dark_gain = np.empty(shape) if dark_differs else None
     offset_e = np.empty(shape) if pixel_spread_e else None
 
     def draw(block: slice, rng: np.random.Generator) -> None:
         if gain is not None:
             for part in _rows_of(gain[block]):
-                _draw_gaussian(p.prnu, part, rng)
+                _draw_gaussian(exposure_readout.prnu, part, rng)
                 part += 1.0
                 np.maximum(part, 0.0, out=part)
         if dark_gain is not None:
@@ -390,12 +390,12 @@ def _expose(
         return _expose_burst(mean_e, integration_s, sensor, rng, subexposures_e)
 
     _check_shape(mean_e, sensor)
-    p = sensor.readout
-    mean_dark_e = p.dark_current_e_per_s * integration_s
-    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
-    row_sigma_e = constant_e(p, is_temporal=True, along="row")
-    full_e = saturation_level_e(integration_s, p)
-    top_dn = p.adc.top_code_dn
+    readout = sensor.readout
+    mean_dark_e = readout.dark_current_e_per_s * integration_s
+    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
+    row_sigma_e = constant_e(readout, is_temporal=True, along="row")
+    full_e = saturation_level_e(integration_s, readout)
+    top_dn = readout.adc.top_code_dn
 
     columns = sensor.shape[1]
     generated_e = np.empty(mean_e.shape)
@@ -428,8 +428,8 @@ def _expose(
             # Counted before readout: reset noise and negative offsets keep half of the full pixels
             # off the top code.
             is_saturating = charge_e >= full_e
-            level = stored_signal_e(charge_e, integration_s, p)
-            is_full = full_pixels(charge_e, level, p)
+            level = stored_signal_e(charge_e, integration_s, readout)
+            is_full = full_pixels(charge_e, level, readout)
 
             if pixel_sigma_e:
                 noise = work[: rows.stop - rows.start]
@@ -440,10 +440,10 @@ def _expose(
             for offset_e in _offset_maps_e(sensor, rows):
                 level += offset_e
 
-            level *= p.dn_per_e
-            if p.adc.black_level_dn:
-                level += p.adc.black_level_dn
-            _quantise(level, p.adc.bits, dn[rows])
+            level *= readout.dn_per_e
+            if readout.adc.black_level_dn:
+                level += readout.adc.black_level_dn
+            _quantise(level, readout.adc.bits, dn[rows])
             at_top = dn[rows] >= top_dn
             np.logical_or(is_full, at_top, out=saturated[rows])
             saturated_counts.append(int(np.count_nonzero(is_saturating | at_top)))
@@ -483,10 +483,10 @@ def _expose_burst(
     (`quantise`), is drawn at once. Of all other pixels each subexposure is read out.
     """
     _check_shape(mean_e, sensor)
-    p = sensor.readout.burst(1)
+    subexposure_readout = sensor.readout.burst(1)
     count = sensor.readout.exposures
     time_s = integration_s / count
-    row_sigma_e = constant_e(p, is_temporal=True, along="row")
+    row_sigma_e = constant_e(subexposure_readout, is_temporal=True, along="row")
 
     columns = sensor.shape[1]
     dn = np.empty(mean_e.shape, np.int32)
@@ -504,14 +504,20 @@ def _expose_burst(
             if row_sigma_e:
                 row_noise = row_sigma_e * rng.standard_normal(row_noise.shape)
 
-            codes = _draw_summed_codes(charges_e, offset_e, row_noise, p, rng)
-            clipped = np.nonzero(~_never_clips(charges_e, offset_e, row_noise, p, time_s))
+            codes = _draw_summed_codes(charges_e, offset_e, row_noise, subexposure_readout, rng)
+            is_safe = _never_clips(charges_e, offset_e, row_noise, subexposure_readout, time_s)
+            clipped = np.nonzero(~is_safe)
             saturated_count = 0
             if clipped[0].size:
                 clipped_charges_e = [charge_e[clipped] for charge_e in charges_e]
                 clipped_rows = row_noise[:, clipped[0], 0]
                 codes[clipped], is_full, is_saturating = _read_one_by_one(
-                    clipped_charges_e, offset_e[clipped], clipped_rows, p, time_s, rng
+                    clipped_charges_e,
+                    offset_e[clipped],
+                    clipped_rows,
+                    subexposure_readout,
+                    time_s,
+                    rng,
                 )
                 saturated[rows][clipped] = is_full
                 saturated_count = int(np.count_nonzero(is_saturating))
@@ -544,7 +550,7 @@ def _subexposure_charges_e(
 
 
 def _never_clips(
-    charges_e: Sequence[Array], offset_e: Array, row_noise: Array, p: Readout, time_s: float
+    charges_e: Sequence[Array], offset_e: Array, row_noise: Array, readout: Readout, time_s: float
 ) -> NDArray[np.bool_]:
     """Return which pixels no subexposure clips, and whose noise makes rounding a noise, (rows,
     columns).
@@ -552,24 +558,25 @@ def _never_clips(
     charges_e : mean charges of the subexposures, from `_subexposure_charges_e`
     offset_e : fixed offsets, (rows, columns)
     row_noise : (subexposures, rows, 1) electrons
-    p : of one subexposure
+    readout : of one subexposure
     """
     darkest_e = np.minimum.reduce(charges_e)
     brightest_e = np.maximum.reduce(charges_e)
-    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
+    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
 
     def extreme_dn(charge_e: Array, row_e: Array, sign: int) -> Array:
         """Level that a subexposure exceeds by chance as good as never, down (-1) or up (1)."""
         spread_e = _CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + POISSON_MARGIN_E
         return np.asarray(
-            p.dn_per_e * (charge_e + offset_e + row_e + sign * spread_e) + p.adc.black_level_dn
+            readout.dn_per_e * (charge_e + offset_e + row_e + sign * spread_e)
+            + readout.adc.black_level_dn
         )
 
     above_zero = extreme_dn(darkest_e, row_noise.min(axis=0), -1) > 0
-    below_top = extreme_dn(brightest_e, row_noise.max(axis=0), 1) < p.adc.top_code_dn
-    is_dithered = p.dn_per_e * np.sqrt(darkest_e + pixel_sigma_e**2) >= _MIN_DITHER_DN
+    below_top = extreme_dn(brightest_e, row_noise.max(axis=0), 1) < readout.adc.top_code_dn
+    is_dithered = readout.dn_per_e * np.sqrt(darkest_e + pixel_sigma_e**2) >= _MIN_DITHER_DN
 
-    limit_e = saturation_level_e(time_s, p) if responds_linearly(p.physics) else 0.0
+    limit_e = saturation_level_e(time_s, readout) if responds_linearly(readout.physics) else 0.0
     below_full = brightest_e + _CLIP_SIGMAS * np.sqrt(brightest_e) + POISSON_MARGIN_E < limit_e
     return np.asarray(above_zero & below_top & is_dithered & below_full)
 
@@ -578,7 +585,7 @@ def _draw_summed_codes(
     charges_e: Sequence[Array],
     offset_e: Array,
     row_noise: Array,
-    p: Readout,
+    readout: Readout,
     rng: np.random.Generator,
 ) -> Array:
     """Draw the sum of the codes of all subexposures at once, (rows, columns), without clipping.
@@ -586,25 +593,25 @@ def _draw_summed_codes(
     A sum of Poisson counts is a Poisson count; a sum of normal values, with all roundings but the
     last, is a normal value.
 
-    charges_e, offset_e, row_noise, p : as in `_never_clips`
+    charges_e, offset_e, row_noise, readout : as in `_never_clips`
     """
     count = len(row_noise)
     total_e = count * charges_e[0] if len(charges_e) == 1 else np.add.reduce(charges_e)
     level_e = np.asarray(_shot_noise(total_e, rng), float)
 
-    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
-    rounding_sigma_e = math.sqrt((count - 1) / 12) / p.dn_per_e
+    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
+    rounding_sigma_e = math.sqrt((count - 1) / 12) / readout.dn_per_e
     sigma_e = math.hypot(math.sqrt(count) * pixel_sigma_e, rounding_sigma_e)
     level_e += sigma_e * rng.standard_normal(level_e.shape)
     level_e += count * offset_e + row_noise.sum(axis=0)
-    return np.rint(p.dn_per_e * level_e + count * p.adc.black_level_dn)
+    return np.rint(readout.dn_per_e * level_e + count * readout.adc.black_level_dn)
 
 
 def _read_one_by_one(
     charges_e: Sequence[Array],
     offset_e: Array,
     row_noise: Array,
-    p: Readout,
+    readout: Readout,
     time_s: float,
     rng: np.random.Generator,
 ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -614,27 +621,28 @@ def _read_one_by_one(
     charges_e : mean charges of the subexposures, (n,); a single one if all are the same
     offset_e : fixed offsets, (n,)
     row_noise : (subexposures, n) electrons
-    p : of one subexposure
+    readout : of one subexposure
     """
     size = offset_e.size
     total_dn = np.zeros(size)
     is_full = np.zeros(size, bool)
     is_saturating = np.zeros(size, bool)
-    full_e = saturation_level_e(time_s, p)
-    pixel_sigma_e = constant_e(p, is_temporal=True, along="pixel")
+    full_e = saturation_level_e(time_s, readout)
+    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
 
     for number, row_e in enumerate(row_noise):
         charge_e = charges_e[number % len(charges_e)]
         generated_e = np.asarray(_shot_noise(charge_e, rng), float)
-        stored_e = stored_signal_e(generated_e, time_s, p)
+        stored_e = stored_signal_e(generated_e, time_s, readout)
         is_saturating |= generated_e >= full_e
-        is_full |= full_pixels(generated_e, stored_e, p)
+        is_full |= full_pixels(generated_e, stored_e, readout)
 
         level_e = stored_e + pixel_sigma_e * rng.standard_normal(size)
         level_e += offset_e + row_e
-        codes = np.clip(np.rint(p.dn_per_e * level_e + p.adc.black_level_dn), 0, p.adc.top_code_dn)
-        is_full |= codes >= p.adc.top_code_dn
-        is_saturating |= codes >= p.adc.top_code_dn
+        level_dn = readout.dn_per_e * level_e + readout.adc.black_level_dn
+        codes = np.clip(np.rint(level_dn), 0, readout.adc.top_code_dn)
+        is_full |= codes >= readout.adc.top_code_dn
+        is_saturating |= codes >= readout.adc.top_code_dn
         total_dn += codes
     return total_dn, is_full, is_saturating
 
@@ -678,14 +686,13 @@ def frame_variance_dn2(
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's
     LSB²/12; valid where `frame_mean_dn` is.
     """
-    p = readout
     signal_e = np.asarray(mean_e, float)
-    dark_e = p.dark_current_e_per_s * integration_s
-    temporal_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
+    dark_e = readout.dark_current_e_per_s * integration_s
+    temporal_e2 = variance_e2(readout, signal_e + dark_e, is_temporal=True)
     if not fixed_pattern:
-        return np.asarray(temporal_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
-    total_e2 = variance_e2(p, temporal_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False)
-    return np.asarray(total_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
+        return np.asarray(temporal_e2 * readout.dn_per_e**2 + readout.rounding_variance_dn2)
+    total_e2 = variance_e2(readout, temporal_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False)
+    return np.asarray(total_e2 * readout.dn_per_e**2 + readout.rounding_variance_dn2)
 
 
 def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
@@ -708,11 +715,14 @@ def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     Without a stated gain a range F spans the codes M - b above the black level b, so that b =
     6σ(M - b)/F, solved for b. For a burst it is the black level of each subexposure.
     """
-    p = readout.burst(1)
-    margin_e = BLACK_SIGMAS * dark_spread_e(p, integration_s / readout.exposures)
-    if p.adc.gain_e_per_dn is not None:
-        return math.ceil(margin_e * p.amplification / p.adc.gain_e_per_dn) + 1
-    return math.ceil(margin_e * p.adc.top_code_dn / (p.adc_range_e + margin_e)) + 1
+    exposure_readout = readout.burst(1)
+    margin_e = BLACK_SIGMAS * dark_spread_e(exposure_readout, integration_s / readout.exposures)
+    if exposure_readout.adc.gain_e_per_dn is not None:
+        margin_dn = margin_e * exposure_readout.amplification / exposure_readout.adc.gain_e_per_dn
+    else:
+        span_e = exposure_readout.adc_range_e + margin_e
+        margin_dn = margin_e * exposure_readout.adc.top_code_dn / span_e
+    return math.ceil(margin_dn) + 1
 
 
 def capture_from_rates(
@@ -733,7 +743,7 @@ def capture_from_rates(
     Raises PixsimError if the shape differs from the sensor's, or if the electrons are too many for
     the numbers of the rates.
     """
-    p = sensor.readout.at(exposure)
+    readout = sensor.readout.at(exposure)
     if signal_e_per_s.shape != sensor.shape:
         hint = (
             "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel,"
@@ -746,9 +756,9 @@ def capture_from_rates(
             hint,
         )
     brightest_e_per_s = float(signal_e_per_s.max())
-    time_s = integration_time_s(exposure, p, brightest_e_per_s)
+    time_s = integration_time_s(exposure, readout, brightest_e_per_s)
     subexposure_rates = list(each)
-    planes = p.physics.planes
+    planes = readout.physics.planes
     if gains := row_gains(time_s, len(signal_e_per_s) // planes, exposure, rng):
         steady_rates = subexposure_rates or [signal_e_per_s] * len(gains)
         subexposure_rates = [
@@ -757,11 +767,11 @@ def capture_from_rates(
         ]
         signal_e_per_s = np.mean(subexposure_rates, axis=0)
         brightest_e_per_s = float(signal_e_per_s.max())
-    mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
-    exposed = sensor if p is sensor.readout else replace(sensor, readout=p)
+    mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, readout)
+    exposed = sensor if readout is sensor.readout else replace(sensor, readout=readout)
     subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
     dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)
-    return _frame(dn, fraction, mean_e, time_s, p, exposure, saturated)
+    return _frame(dn, fraction, mean_e, time_s, readout, exposure, saturated)
 
 
 def make_frame(
@@ -888,8 +898,8 @@ def capture(
     size_um = array_size_um(irradiance, camera)
     still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
     um_per_s = velocity_um_per_s(motion, camera, physics.pitch_um)
-    moving, exposure = metered_motion(still, sensor.readout, exposure, um_per_s)
+    image_motion, exposure = metered_motion(still, sensor.readout, exposure, um_per_s)
     signal, subexposure_rates = moved_signals(
-        lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames
+        lights, irradiance.pitch_um, physics, size_um, image_motion, exposure.frames
     )
     return capture_from_rates(signal, sensor, exposure, rng, subexposure_rates)

@@ -116,7 +116,7 @@ def _response(physics: PixelPhysics) -> Array:
     return physics.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
 
 
-def outside_words(share: float, span: Span = VISIBLE) -> str:
+def outside_share_text(share: float, span: Span = VISIBLE) -> str:
     """Return in words the share of light that a range leaves out."""
     percent = f"{100 * share:.0f}" if share < 0.995 else f"{100 * share:.3g}"
     return f"without {percent} % of a lamp's light in the sensor's response, outside {span.words}"

@@ -57,7 +57,7 @@ def slip_hint(name: str, value: object) -> str:
     """Return how to write a number that is unusual in its field's unit and usual in the other one;
     empty for others.
 
-    name : of a field of `SLIPS` whose own number has to be usual
+    name : of a field of `SLIPS` that is judged by its number, without a `property`
     """
     slip = SLIPS[name]
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -32,7 +32,7 @@ from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.labels import labels_of
-from pixsim.sensor.motion import border_with_room_um
+from pixsim.sensor.motion import border_with_motion_um
 from pixsim.sensor.pixel import (
     PixelPhysics,
     derive,
@@ -253,7 +253,7 @@ def border_on_um(study: Study, camera: Camera) -> float:
         for name in study.technologies
         for um in (*study_pitches_um(study, name)[[0, -1]], study.pitch.largest_um)
     ]
-    return border_with_room_um(study.border_um, study.motion, study.exposure, camera, pixels)
+    return border_with_motion_um(study.border_um, study.motion, study.exposure, camera, pixels)
 
 
 def metrics_of(settings: Setting, repeats: int = 1) -> MetricRequest:

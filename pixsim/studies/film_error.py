@@ -40,7 +40,7 @@ from pixsim.scene.film import BLOCK, details_across, dots_across
 from pixsim.scene.rules import Chart
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
-from pixsim.sensor.motion_options import STILL
+from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, with_shared_time
 from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -539,7 +539,7 @@ def measure_film(
     """
     with suppressed_warnings():  # the run itself warns of the white
         white = white_header(
-            [(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured]
+            [(imaging.changed(border_um=None, motion=NO_MOTION), image) for imaging in measured]
         )
         image_with_white = image.with_planes(
             image.whole.planes, header=image.header | white, margin=image.margin
@@ -980,7 +980,7 @@ def chains_of_film(
     """
     # Each part has the border of its own pixels; what moves or flickers shows less of the film.
     steady = imaging.exposure.steady
-    imaging = imaging.changed(border_um=None, single=False, motion=STILL, exposure=steady)
+    imaging = imaging.changed(border_um=None, single=False, motion=NO_MOTION, exposure=steady)
 
     def prepare(number: int) -> ImagingChain:
         part, display = film[number]

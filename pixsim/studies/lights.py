@@ -28,7 +28,7 @@ from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_
 from pixsim.scene.scene import Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.labels import label_in
-from pixsim.sensor.motion_options import STILL
+from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
@@ -171,7 +171,7 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
     """Return the mean ΔE between two lights as one sensor without noise shows them; of a large
     picture, between its parts.
     """
-    imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
+    imaging = imaging.changed(border_um=None, motion=NO_MOTION, exposure=imaging.exposure.steady)
     with suppressed_warnings():  # the run itself warns of the white
         white = white_header([(imaging, image)])
     rows, columns = image.shape

@@ -24,7 +24,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.labels import file_label, labels_of
-from pixsim.sensor.motion import border_with_room_um
+from pixsim.sensor.motion import border_with_motion_um
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
@@ -606,7 +606,7 @@ def _border_share(case: Case[Run], settings: Run) -> float:
     settings : of all sensors, whose motion needs room
     """
     pixel = case.settings.pixel
-    border_um = border_with_room_um(
+    border_um = border_with_motion_um(
         BORDER_PIXELS * pixel.pitch_um * pixel.bin_side,
         settings.motion,
         case.settings.exposure,

@@ -19,7 +19,7 @@ from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.result import Result
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.motion_options import STILL
+from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.studies.design import Case
 from pixsim.studies.film_error import (
     chains_of_film,
@@ -228,7 +228,7 @@ def measure_accuracy(
     )
     warn_of_settings_without_effect({"": [settings_in_use]})
     still: dict[str, Any] = {
-        "motion": STILL,
+        "motion": NO_MOTION,
         "exposure": settings.exposure.steady,
         "metrics": ("delta_e",),
     }

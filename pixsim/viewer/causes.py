@@ -21,7 +21,12 @@ from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.spectral_range import NOTED_SHARE, outside_hint, outside_share, outside_words
+from pixsim.sensor.spectral_range import (
+    NOTED_SHARE,
+    outside_hint,
+    outside_share,
+    outside_share_text,
+)
 from pixsim.viewer.display import setting_of_white
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import xyz_to_lab
@@ -247,7 +252,7 @@ def _outside_light_cause(share: float) -> Cause | None:
     if share <= NOTED_SHARE:
         return None
     return Cause(
-        outside_words(share),
+        outside_share_text(share),
         _BLACK_TO_WHITE_DELTA_E - float(_lightness_of(np.array(1 - share))),
         outside_hint(),
     )

@@ -19,7 +19,7 @@ from pixsim.sensor.colour import channel_map
 from pixsim.sensor.correction import correct
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import array_signal, centred_pixels, moved_signals
-from pixsim.sensor.motion import STANDING, Moving
+from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion
 from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
@@ -57,7 +57,7 @@ class ExpectedFrame:
     signal_e: Array = field(repr=False)
     background_e: Array | None = field(repr=False)
     integration_s: float
-    moving: Moving = STANDING
+    image_motion: ImageMotion = NO_IMAGE_MOTION
 
     @property
     def imaging(self) -> Imaging:
@@ -103,7 +103,7 @@ class ImagingChain:
     rendition: Rendition | None = None
     scene: PreparedScene | None = None
     background_e_per_s: Array | None = None
-    moving: Moving = STANDING
+    image_motion: ImageMotion = NO_IMAGE_MOTION
     subexposures_e_per_s: tuple[Array, ...] = ()
 
     @cached_property
@@ -148,7 +148,7 @@ class ImagingChain:
             self.signal_e_per_s * integration_s,
             None if background is None else background * integration_s,
             integration_s,
-            self.moving,
+            self.image_motion,
         )
 
     def registered(self, number: int) -> ImagingChain:
@@ -324,14 +324,14 @@ def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     imaging = still.imaging
     scene = still.scene
     assert scene is not None
-    moving, exposure = metered_motion(
+    image_motion, exposure = metered_motion(
         still.signal_e_per_s, still.readout, still.exposure, imaging.um_per_s
     )
     still = replace(still, exposure=exposure)
     if not room_is_checked:
-        _check_room(still, moving)
+        _check_room(still, image_motion)
 
-    pixels = scene.sample_pitch_um, imaging.physics, scene.array_um, moving
+    pixels = scene.sample_pitch_um, imaging.physics, scene.array_um, image_motion
     signal, subexposures = moved_signals(scene.lights, *pixels, exposure.frames)
     background = None
     if (
@@ -344,12 +344,12 @@ def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
         still,
         signal_e_per_s=signal,
         background_e_per_s=background,
-        moving=moving,
+        image_motion=image_motion,
         subexposures_e_per_s=subexposures,
     )
 
 
-def _check_room(chain: ImagingChain, moving: Moving) -> None:
+def _check_room(chain: ImagingChain, image_motion: ImageMotion) -> None:
     """Raise PixsimError if light from beyond the picture moves into the part of it that is
     scored.
     """
@@ -361,14 +361,18 @@ def _check_room(chain: ImagingChain, moving: Moving) -> None:
     row_count = chain.scene.array_um[0] / physics.read_pitch_um
     for axis, (edges, size_um) in enumerate(zip(screen.dot_edges_um, screen.size_um, strict=True)):
         # The path of a row, and how far the last row is read after the first.
-        needed_um = (abs(moving.path_um[axis]) + abs(moving.row_um[axis]) * row_count) / 2
-        room_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - border_um)
-        if needed_um <= room_um * (1 + ROUNDING):
+        needed_um = (
+            abs(image_motion.path_um[axis]) + abs(image_motion.row_um[axis]) * row_count
+        ) / 2
+        margin_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - border_um)
+        if needed_um <= margin_um * (1 + ROUNDING):
             continue
 
         time = exposure_time(chain.exposure.integration_s or 0)
         got = f"a path of {2 * needed_um:.4g} µm on the sensor in {time}"
-        allowed = f"at most {2 * room_um:.4g} µm, twice the margin on each side of the scored area"
+        allowed = (
+            f"at most {2 * margin_um:.4g} µm, twice the margin on each side of the scored area"
+        )
         slower = f"slow it down ({', '.join(VELOCITIES)})"
         hint = (
             f"Raise {setting('motion.margin_um')}, shorten"

@@ -12,8 +12,8 @@ from pixsim.base.arrays import Array
 from pixsim.sensor.collection import Collection, ColourCollection, bin_pixels
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
-from pixsim.sensor.integration import Moves, array_on, integrate_pixels
-from pixsim.sensor.motion import STANDING, LightSpectrum, Moving
+from pixsim.sensor.integration import MovingPicture, array_on, integrate_pixels
+from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.scene_light import PreparedScene
 
@@ -23,7 +23,7 @@ def at_every_pixel(
     light: PreparedScene,
     physics: PixelPhysics,
     collection: Collection | None,
-    moving: Moving = STANDING,
+    image_motion: ImageMotion = NO_IMAGE_MOTION,
     *,
     shares: bool = True,
 ) -> Array:
@@ -34,7 +34,7 @@ def at_every_pixel(
     shares : whether pixels around collect light of each other
     """
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    mean = _aperture_means(rate, light, physics, side_um, moving)
+    mean = _aperture_means(rate, light, physics, side_um, image_motion)
     if collection is not None and shares:
         rows, columns = mean.shape
         mean = (
@@ -47,12 +47,20 @@ def at_every_pixel(
 
 
 def _aperture_means(
-    rate: Array, light: PreparedScene, physics: PixelPhysics, side_um: float, moving: Moving
+    rate: Array,
+    light: PreparedScene,
+    physics: PixelPhysics,
+    side_um: float,
+    image_motion: ImageMotion,
 ) -> Array:
     """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
     picture_um = [count * light.sample_pitch_um for count in light.rate_e_per_s_um2.shape]
     _, size_um, first_um = array_on(picture_um, light.array_um, physics)
-    moves = Moves(LightSpectrum(rate), moving, physics.pixel.bin_side) if moving.is_on else None
+    moving_picture = (
+        MovingPicture(LightSpectrum(rate), image_motion, physics.pixel.bin_side)
+        if image_motion.is_on
+        else None
+    )
     total = integrate_pixels(
         rate,
         light.sample_pitch_um,
@@ -60,7 +68,7 @@ def _aperture_means(
         side_um,
         size_um=size_um,
         first_um=first_um,
-        moves=moves,
+        moving_picture=moving_picture,
     )
     return total / side_um**2
 
@@ -69,7 +77,7 @@ def mixed_at_every_pixel(
     light: PreparedScene,
     physics: PixelPhysics,
     collection: ColourCollection,
-    moving: Moving,
+    image_motion: ImageMotion,
     *,
     is_shaded: bool,
 ) -> list[Array]:
@@ -83,7 +91,7 @@ def mixed_at_every_pixel(
     """
     means = [
         _aperture_means(
-            channel_light.rate_e_per_s_um2, light, physics, channel.aperture_side_um, moving
+            channel_light.rate_e_per_s_um2, light, physics, channel.aperture_side_um, image_motion
         )
         for channel_light, channel in zip(light.lights, collection.collections, strict=True)
     ]

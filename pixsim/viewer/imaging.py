@@ -28,8 +28,8 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.motion import border_with_room_um, velocity_um_per_s
-from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.motion import border_with_motion_um, velocity_um_per_s
+from pixsim.sensor.motion_options import NO_MOTION, Motion
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -63,7 +63,7 @@ class Imaging:
     display: Display
     correction: Correction = NO_CORRECTION
     develop: Develop = DEVELOP
-    motion: Motion = STILL
+    motion: Motion = NO_MOTION
     metrics: MetricRequest = DELTA_E_ONLY
     border_um: float | None = None
     single: bool = False
@@ -107,7 +107,7 @@ class Imaging:
             display or Display(),
             correction=correction or NO_CORRECTION,
             develop=develop or DEVELOP,
-            motion=motion or STILL,
+            motion=motion or NO_MOTION,
             metrics=metrics,
         )
 
@@ -137,7 +137,7 @@ class Imaging:
         if not self.motion.is_on:
             return border_um
         pixels = self.pixel.pitch_um, self.pixel.bin_side
-        return border_with_room_um(border_um, self.motion, self.exposure, self.camera, [pixels])
+        return border_with_motion_um(border_um, self.motion, self.exposure, self.camera, [pixels])
 
     @property
     def pixel_key(self) -> tuple[str, ...]:

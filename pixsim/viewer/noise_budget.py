@@ -42,7 +42,7 @@ from pixsim.sensor.integration import (
     illumination_of,
     integrate_pixels,
 )
-from pixsim.sensor.motion import STANDING, Moving
+from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion
 from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.quantities import MAX_CODE_BITS
 from pixsim.sensor.reading import Adc, Readout
@@ -294,7 +294,9 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
         scene.lights, physics.channels, scene.whites_e_per_s_um2, strict=True
     ):
         collection = collection_of(channel, light.illumination, pixels)
-        rate = at_every_pixel(light.rate_e_per_s_um2, scene, physics, collection, chain.moving)
+        rate = at_every_pixel(
+            light.rate_e_per_s_um2, scene, physics, collection, chain.image_motion
+        )
         unmixed_planes.append(rate / white)
 
     # Without a stack, channels record no other light.
@@ -305,7 +307,7 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
         assert isinstance(chain.collection, ColourCollection)
         is_shaded = chain.development.shading is not None
         recorded = mixed_at_every_pixel(
-            scene, physics, chain.collection, chain.moving, is_shaded=is_shaded
+            scene, physics, chain.collection, chain.image_motion, is_shaded=is_shaded
         )
         matrix = chain.development.matrix
     yield MOSAIC, _delta_e_of_planes(recorded, matrix, unmixed, noiseless)
@@ -320,7 +322,8 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     collection = collection_of(physics, illumination, pixels)
     rates = diffracted(irradiance, imaging.camera, weights, diffusion_of(physics))
     observed = [
-        at_every_pixel(rate, scene, physics, collection, chain.moving) / white for rate in rates
+        at_every_pixel(rate, scene, physics, collection, chain.image_motion) / white
+        for rate in rates
     ]
     yield COLOUR_ERROR, _delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
 
@@ -351,10 +354,10 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
 
     def delta_e_of_pixels(
-        rates: list[Array], *, shares: bool = True, moving: Moving = STANDING
+        rates: list[Array], *, shares: bool = True, image_motion: ImageMotion = NO_IMAGE_MOTION
     ) -> float:
         planes = [
-            at_every_pixel(rate, scene, physics, collection, moving, shares=shares) / white
+            at_every_pixel(rate, scene, physics, collection, image_motion, shares=shares) / white
             for rate in rates
         ]
         return _delta_e_of_planes(planes, matrix, chain, noiseless)
@@ -362,8 +365,8 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     # Shading, motion and veil, of the light behind the lens.
     if scene.rendition is None and collection is not None:
         rates = diffracted(irradiance, camera, weights, diffusion)
-        yield _SHADING, delta_e_of_pixels(rates, moving=chain.moving)
-    if chain.moving.is_on:
+        yield _SHADING, delta_e_of_pixels(rates, image_motion=chain.image_motion)
+    if chain.image_motion.is_on:
         rates = diffracted(irradiance, camera, weights, diffusion)
         yield MOTION, delta_e_of_pixels(rates)
     if camera.veiling_glare:

@@ -598,7 +598,7 @@ def sensor_mtf(
 
     with_lens : whether the lens counts, and not the pixel alone
     """
-    path_mm = 1e-3 * np.array(frame.moving.path_um)
+    path_mm = 1e-3 * np.array(frame.image_motion.path_um)
     mtf: Array = np.ones(np.broadcast_shapes(across.shape, down.shape))
     if path_mm.any():
         mtf = np.sinc(path_mm[0] * down + path_mm[1] * across)
@@ -644,7 +644,7 @@ def _scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
         folded = folded_spectrum(power, axis, pitch_um, _ORDERS)
         return axis, power(axis[:, None], axis), folded
 
-    key = "power", options.content_hash, frame.moving.path_um, *frame.imaging.pixel_key
+    key = "power", options.content_hash, frame.image_motion.path_um, *frame.imaging.pixel_key
     return frame.light.cached(key, compute)
 
 
@@ -807,7 +807,7 @@ def _mtf_along(frame: ExpectedFrame, along: Array | None = None) -> tuple[Array,
     longer path of what moves.
     """
     along = sensor_terms(frame)[0] if along is None else along
-    path_y_um, path_x_um = map(abs, frame.moving.path_um)
+    path_y_um, path_x_um = map(abs, frame.image_motion.path_um)
     if path_x_um >= path_y_um:
         mtf = sensor_mtf(frame, along, np.zeros(1))
     else:
@@ -818,7 +818,7 @@ def _mtf_along(frame: ExpectedFrame, along: Array | None = None) -> tuple[Array,
 def _mtf50(under_test: FrameUnderTest) -> tuple[float]:
     frame = under_test.expected
     along, mtf = _mtf_along(frame)
-    path_um = frame.moving.longest_um
+    path_um = frame.image_motion.longest_um
     if path_um:
         # Before the first zero of a long path, which the table may leave out.
         last = min(float(along[-1]), 1e3 / path_um)

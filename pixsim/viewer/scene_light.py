@@ -271,7 +271,7 @@ def prepare_scene(
         lights = lights_of(irradiance, camera, physics)
     if imaging.full:  # nothing of the pixels' stack is left out
         lights = tuple(
-            replace(channel, illumination=replace(channel.illumination, spare_e=0.0))
+            replace(channel, illumination=replace(channel.illumination, tolerance=0.0))
             for channel in lights
         )
     whites = tuple(

@@ -16,7 +16,7 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.quantities import DieWidth
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.motion_options import Motion, motion_words
+from pixsim.sensor.motion_options import Motion, motion_text
 from pixsim.sensor.pixel_options import Pixel, PixelOptions
 from pixsim.sensor.quantities import Seconds
 from pixsim.viewer.develop_options import Develop, check_develop
@@ -140,7 +140,7 @@ def stage_words(setting: Setting) -> list[str]:
         amount = f"{100 * veil:.3g} %" if isinstance(veil, float) else "by wavelength"
         words.append(f"veiling glare {amount}")
     if setting.motion.is_on:
-        words.append(motion_words(setting.motion))
+        words.append(motion_text(setting.motion))
     if exposure.line_time_s:
         words.append(f"rolling shutter, {exposure.line_time_us:g} µs a row")
     if exposure.flickers:

@@ -54,7 +54,7 @@ def _acutance(under_test: FrameUnderTest) -> tuple[float]:
 
     def compute() -> float:
         terms = mtf_terms(
-            imaging, frame.light.mean, on_sensor, screen.dot_um, frame.moving.longest_um
+            imaging, frame.light.mean, on_sensor, screen.dot_um, frame.image_motion.longest_um
         )
         if develop.sharpens:
             cy_per_px = 1e-3 * pitch_um * on_sensor
@@ -64,7 +64,13 @@ def _acutance(under_test: FrameUnderTest) -> tuple[float]:
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
     sharpened = develop.sharpen_amount, development.sharpen_px if develop.sharpens else 0.0
-    key = "acutance", display.content_hash, *sharpened, frame.moving.path_um, *imaging.pixel_key
+    key = (
+        "acutance",
+        display.content_hash,
+        *sharpened,
+        frame.image_motion.path_um,
+        *imaging.pixel_key,
+    )
     return (frame.light.cached(key, compute),)
 
 

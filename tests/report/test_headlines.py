@@ -20,7 +20,7 @@ from pixsim.report.run import run_answer, run_document, run_page, shown_mean_of
 from pixsim.report.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.report.wording import weighted_answer
-from pixsim.sensor.spectral_range import outside_words
+from pixsim.sensor.spectral_range import outside_share_text
 from pixsim.show.document import Answer, Text, headline, plain_text
 from pixsim.show.render import html, text
 from pixsim.studies.curve import CaseLabels, CurveErrors
@@ -38,7 +38,7 @@ NOISES = [{}, {"render_noise": NOISE}]
 CAUSES = [  # the longest words of each kind
     Cause("only 3.1 codes of the ADC between black and display white", 64.0, "more bits"),
     Cause("the ideal image has no contrast, L* 0.0 to 0.9", 50.0, "a scene with detail"),
-    Cause(outside_words(0.3), 20.0, "a filter"),
+    Cause(outside_share_text(0.3), 20.0, "a filter"),
     Cause("the lightest dot is 0.99 of a step of the ADC above black", 1.0, "more bits"),
 ]
 NAMED = [[], CAUSES[:1], CAUSES[2:3], CAUSES[3:], CAUSES[2:]]

@@ -22,9 +22,9 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import Moves, integrate_pixels
-from pixsim.sensor.motion import STANDING, LightSpectrum, Moving, moving_in
-from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.integration import MovingPicture, integrate_pixels
+from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum, motion_in_frame
+from pixsim.sensor.motion_options import NO_MOTION, Motion
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -40,14 +40,18 @@ from pixsim.viewer.setting import Run, stage_words
 
 def moved(
     picture: np.ndarray,
-    moving: Moving,
+    moving: ImageMotion,
     pitch_um: float = 2.0,
     sample_um: float = 1.0,
     side_um: float = 1.6,
 ) -> np.ndarray:
     """Integrals of a moving picture over pixels."""
     return integrate_pixels(
-        picture, sample_um, pitch_um, side_um, moves=Moves(LightSpectrum(picture), moving)
+        picture,
+        sample_um,
+        pitch_um,
+        side_um,
+        moving_picture=MovingPicture(LightSpectrum(picture), moving),
     )
 
 
@@ -76,15 +80,17 @@ def contrast(pixels: np.ndarray, still: np.ndarray) -> float:
 def test_contrast_of_a_wave_is_sinc(path_um: float, half_periods: int, axis: int) -> None:
     shape = (1000, 40) if axis == 0 else (40, 1000)
     picture = wave(shape, (half_periods, 0) if axis == 0 else (0, half_periods))
-    still = integrate_pixels(picture, 1.0, 2.0, 1.6, moves=None)
+    still = integrate_pixels(picture, 1.0, 2.0, 1.6, moving_picture=None)
     found = contrast(
-        moved(picture, Moving((path_um, 0.0) if axis == 0 else (0.0, path_um))),
-        moved(picture, STANDING),
+        moved(picture, ImageMotion((path_um, 0.0) if axis == 0 else (0.0, path_um))),
+        moved(picture, NO_IMAGE_MOTION),
     )
     assert found == pytest.approx(np.sinc(half_periods / 2000 * path_um), abs=1e-6)
     # The spline of light that may move is that of light that stands still, but for its ends at the
     # borders.
-    np.testing.assert_allclose(moved(picture, STANDING)[5:-5, 5:-5], still[5:-5, 5:-5], rtol=1e-4)
+    np.testing.assert_allclose(
+        moved(picture, NO_IMAGE_MOTION)[5:-5, 5:-5], still[5:-5, 5:-5], rtol=1e-4
+    )
 
 
 # From a thousandth of a pixel to a thousand; waves whose fronts lie along the path; a path that is
@@ -105,7 +111,7 @@ def test_contrast_along_a_slanted_path_is_sinc_of_both_axes(
     down, across = (
         cycle / 2 / count * length for cycle, count, length in zip(cycles, shape, path, strict=True)
     )
-    found = contrast(moved(picture, Moving(path)), moved(picture, STANDING))
+    found = contrast(moved(picture, ImageMotion(path)), moved(picture, NO_IMAGE_MOTION))
     assert found == pytest.approx((np.sinc(down + across) + np.sinc(down - across)) / 2, abs=1e-6)
 
 
@@ -116,20 +122,28 @@ def test_fronts_along_a_slanted_path_keep_their_contrast() -> None:
         slanted = 1 + 0.5 * np.cos(2 * math.pi * (rows + sign * columns) / 40)
         inside = np.s_[20:-20, 20:-20]  # the front is broken at the borders, where it is reflected
         ratio = contrast(
-            moved(slanted, Moving((12.0, 12.0)))[inside], moved(slanted, STANDING)[inside]
+            moved(slanted, ImageMotion((12.0, 12.0)))[inside],
+            moved(slanted, NO_IMAGE_MOTION)[inside],
         )
         assert ratio == pytest.approx(kept, abs=2e-4)
 
 
 @pytest.mark.parametrize(
     "moving",
-    [Moving((0.0, 7.7)), Moving((5.2, 0.0)), Moving((4.1, -6.3)), Moving((30.0, 30.0), (0.0, 0.1))],
+    [
+        ImageMotion((0.0, 7.7)),
+        ImageMotion((5.2, 0.0)),
+        ImageMotion((4.1, -6.3)),
+        ImageMotion((30.0, 30.0), (0.0, 0.1)),
+    ],
 )
-def test_light_is_conserved(moving: Moving) -> None:
+def test_light_is_conserved(moving: ImageMotion) -> None:
     """Pixels that fill the picture have all light of a spot that stays inside."""
     rows, columns = np.indices((240, 200))
     picture = 1 + 5 * np.exp(-((rows - 118) ** 2 + (columns - 101) ** 2) / 50)
-    whole = integrate_pixels(picture, 1.0, 2.0, 2.0, moves=Moves(LightSpectrum(picture), moving))
+    whole = integrate_pixels(
+        picture, 1.0, 2.0, 2.0, moving_picture=MovingPicture(LightSpectrum(picture), moving)
+    )
     assert whole.sum() == pytest.approx(picture.sum(), rel=1e-9)
 
 
@@ -140,7 +154,11 @@ def test_point_in_the_dark_becomes_its_path() -> None:
     picture = np.full((60, 80), 1e-6)
     picture[30, 40] = 1.0
     whole = integrate_pixels(
-        picture, 1.0, 2.0, 2.0, moves=Moves(LightSpectrum(picture), Moving((0.0, 6.0)))
+        picture,
+        1.0,
+        2.0,
+        2.0,
+        moving_picture=MovingPicture(LightSpectrum(picture), ImageMotion((0.0, 6.0))),
     )
     assert whole.min() >= 0
     assert whole.sum() == pytest.approx(picture.sum(), rel=0.05)  # the ring that is cut off
@@ -208,7 +226,7 @@ def test_rolling_shutter_skews_a_vertical_edge(motion: Motion) -> None:
     np.testing.assert_allclose(
         edge_places(found, 1), 8e-3 * 5 * lines, atol=3e-6
     )  # single precision of the light
-    still = mean_e(picture_of(0.0, 1), exposure, STILL)
+    still = mean_e(picture_of(0.0, 1), exposure, NO_MOTION)
     np.testing.assert_allclose(edge_places(still, 1), 0.0, atol=3e-6)
 
 
@@ -230,7 +248,7 @@ def test_exposures_of_a_burst_follow_one_another() -> None:
     np.testing.assert_allclose(mean_e(light, burst, motion), whole, rtol=1e-9)
     score = evaluate(light, CAMERA, PIXEL, burst, Display(white_cd_per_m2=100), motion=motion)
     assert score.frame.exposures == 2
-    first, second = moving_in((4e4, 0.0), 1e-3, burst).subexposures(2)
+    first, second = motion_in_frame((4e4, 0.0), 1e-3, burst).subexposures(2)
     assert (first.path_um, first.shift_um, second.shift_um) == (
         (0.0, 20.0),
         (0.0, -10.0),
@@ -262,7 +280,11 @@ def test_exposure_is_metered_on_the_still_picture() -> None:
 def test_still_is_equal_to_the_bit() -> None:
     light, display = picture_of(0.0, 1), Display(white_cd_per_m2=100, dots=100)
     plain = evaluate(light, CAMERA, PIXEL, display=display)
-    for motion in (STILL, Motion(pixels_per_s=(0.0, 0.0)), Motion(velocity_mm_per_s=(0.0, 0.0))):
+    for motion in (
+        NO_MOTION,
+        Motion(pixels_per_s=(0.0, 0.0)),
+        Motion(velocity_mm_per_s=(0.0, 0.0)),
+    ):
         same = evaluate(light, CAMERA, PIXEL, display=display, motion=motion)
         np.testing.assert_array_equal(same.frame.dn, plain.frame.dn)
         np.testing.assert_array_equal(same.delta_e, plain.delta_e)
@@ -301,7 +323,7 @@ def test_scored_frame_leaves_half_of_the_longest_path() -> None:
     found = [
         evaluate(picture_of(0.0, 1), CAMERA, PIXEL, exposure, display, motion=motion).border_um[1]
         for motion, exposure in [
-            (STILL, fast),
+            (NO_MOTION, fast),
             (Motion(image_um_per_s=(4e4, 0.0)), fast),
             (Motion(image_um_per_s=(4e3, 0.0), margin_um=50.0), fast),
             (
@@ -457,10 +479,10 @@ def test_stages_say_what_they_do() -> None:
         "each frame the sum of 8 exposures",
     )
     assert stage_words(run) == list(words)
-    assert moving_in((3.0, -2.0), 0.5, run.exposure).path_um == (-1.0, 1.5)
-    assert moving_in((3.0, -2.0), 0.5, run.exposure).row_um == pytest.approx(
+    assert motion_in_frame((3.0, -2.0), 0.5, run.exposure).path_um == (-1.0, 1.5)
+    assert motion_in_frame((3.0, -2.0), 0.5, run.exposure).row_um == pytest.approx(
         (-2e-5, 3e-5), rel=1e-12
     )
-    assert moving_in((3.0, -2.0), 0.5, Exposure()).row_um == (0.0, 0.0)
+    assert motion_in_frame((3.0, -2.0), 0.5, Exposure()).row_um == (0.0, 0.0)
     assert Readout.of(derive(Pixel()), Exposure()).exposures == 1
     assert pixsim.Exposure is Exposure
