@@ -105,10 +105,12 @@ def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None
         assert (ROOT / path).exists(), path
     packages = {path.parent.name for path in (ROOT / "pixsim").glob("*/__init__.py")} - {"data"}
     assert {name for name in packages if f"| `{name}` |" not in text} == set()
-    judges = {path.name for path in (ROOT / "tests/judges").glob("test_*.py")} - {"test_table.py"}
-    assert {name for name in judges if f"`tests/judges/{name}`" not in text} == set()
+    judges = {path.name for path in (ROOT / "tests/references").glob("test_*.py")} - {
+        "test_table.py"
+    }
+    assert {name for name in judges if f"`tests/references/{name}`" not in text} == set()
     assert (
-        f"Reference values for S-CIELAB | `tests/{'data'}/scielab` | `judges/test_scielab_judge.py`"
+        f"Reference values for S-CIELAB | `tests/{'data'}/scielab` | `references/test_scielab_judge.py`"
         in text
     )
     assert "|  |" not in text, "a file without a docstring"

@@ -95,8 +95,8 @@ def rooms_table() -> str:
 
 def judges_table() -> str:
     rows = [
-        (first_line(path), f"`tests/judges/{path.name}`")
-        for path in test_files("judges")
+        (first_line(path), f"`tests/references/{path.name}`")
+        for path in test_files("references")
         if path.stem != "test_table"
     ]
     return table(("judge", "file"), rows)

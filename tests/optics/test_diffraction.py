@@ -1,7 +1,7 @@
 """Diffraction: the OTF of a circular pupil, and pictures blurred by it.
 
 Its extremes are in pixsim.verification.extreme_cases; ISETCam's MTF and the Airy disc in
-tests/judges/test_optics_judge.py.
+tests/references/test_optics_judge.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Radiance to irradiance: Foote's factor on and off the axis.
 
 Its extremes are in pixsim.verification.extreme_cases; ISETCam's numbers and a path tracer's in
-tests/judges/test_optics_judge.py.
+tests/references/test_optics_judge.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The graphics card: what is looked for, what a trial finds, and what becomes of it, with a driver
 of the tests.
 
-No card is needed here. `tests/judges/test_monte_carlo_judge.py` compares pictures of a real one.
+No card is needed here. `tests/references/test_monte_carlo_judge.py` compares pictures of a real one.
 """
 
 from __future__ import annotations

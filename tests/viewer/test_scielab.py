@@ -1,5 +1,5 @@
 """S-CIELAB: limits, closed forms, conservation. Numbers from outside:
-tests/judges/test_scielab_judge.py.
+tests/references/test_scielab_judge.py.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from judges.gates import not_met, verdict
+from references.gates import not_met, verdict
 from scipy.constants import e as electron
 
 from pixsim.base.arrays import stream

@@ -182,7 +182,7 @@ def test_sdist_builds_same_wheel_without_caches(shipped: dict[str, Path]):
     assert contents(shipped["second"]) == contents(shipped["wheel"])
     with tarfile.open(shipped["sdist"]) as archive:
         names = archive.getnames()
-    assert any(name.endswith("/tests/packaging/test_packaging.py") for name in names)
+    assert any(name.endswith("/tests/references/test_packaging.py") for name in names)
     assert not [
         name
         for name in names

@@ -46,7 +46,7 @@ import numpy as np
 import pytest
 from helpers.closed_forms import solid_angle_integral
 from helpers.edits import VARIANT
-from judges.gates import not_met, row
+from references.gates import not_met, row
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.optimize import brentq
 

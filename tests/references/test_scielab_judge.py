@@ -31,7 +31,7 @@ from pathlib import Path
 import colour
 import numpy as np
 import pytest
-from judges.gates import not_met, row
+from references.gates import not_met, row
 
 from pixsim.viewer import scielab
 

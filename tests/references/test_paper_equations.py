@@ -25,7 +25,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from judges.gates import not_met, verdict
+from references.gates import not_met, verdict
 
 from pixsim.base.arrays import stream
 from pixsim.measure.estimators import pair

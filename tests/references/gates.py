@@ -2,7 +2,7 @@
 result.
 
 A judge is a module `test_*.py` of this folder with a function `rows`, possibly with a parameter
-`full`, that returns a list of rows from `row` or `verdict`; `python tests/judges/table.py` prints
+`full`, that returns a list of rows from `row` or `verdict`; `python tests/references/table.py` prints
 them all.
 """
 

@@ -33,7 +33,7 @@ import numpy as np
 import pytest
 from helpers.edits import NEEDS_CARD, NEEDS_LLVM, VARIANT
 from helpers.tiny import TINY
-from judges.gates import not_met, row
+from references.gates import not_met, row
 from scipy.stats import ttest_ind_from_stats
 
 import pixsim

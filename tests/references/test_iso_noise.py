@@ -26,7 +26,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from judges.gates import not_met, verdict
+from references.gates import not_met, verdict
 
 from pixsim.measure.datasheet import NOISE, SPEED, dark_map_e, make_datasheet
 from pixsim.measure.estimators import daylight_e_per_lx_s, noise_15739

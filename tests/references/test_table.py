@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from judges import table
-from judges.gates import not_met, row
+from references import table
+from references.gates import not_met, row
 
 
 def test_row_gate_has_two_sides():

@@ -1,7 +1,7 @@
 """The table of docs/judges.md: outside standard, gate, measured result, and whether the gate is
 met.
 
-python tests/judges/table.py [--full] [--short]
+python tests/references/table.py [--full] [--short]
 
 Runs `rows` of every test_*.py here that has it, with `full` for --full. --short merges rows of the
 same quantity for several pixels, lenses and edges into one, with the range of the measured values.

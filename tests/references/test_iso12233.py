@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from judges.gates import not_met, verdict
+from references.gates import not_met, verdict
 from scipy.signal.windows import tukey
 
 import pixsim

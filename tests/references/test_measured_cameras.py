@@ -52,7 +52,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.interpolate
-from judges.gates import not_met, row
+from references.gates import not_met, row
 
 import pixsim
 from pixsim.base.arrays import Array, stream

@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.lamps import D65_LUMINANCE, d65_radiance
-from judges.gates import not_met, row
+from references.gates import not_met, row
 
 import pixsim
 from pixsim.base.arrays import Array
