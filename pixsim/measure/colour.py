@@ -29,7 +29,7 @@ from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
-from pixsim.viewer.develop import Rendition, check_separable, product
+from pixsim.viewer.develop import ColourChart, check_separable, product
 from pixsim.viewer.develop_options import DEVELOP
 from pixsim.viewer.display import XYZ_FROM_RGB
 
@@ -49,11 +49,11 @@ _REDRAWS = 24
 class _ColourTruth:
     """The chart under the lamp as the channels record it by their parameters, crosstalk included.
 
-    rendition : of the chromatic patches
+    colour_chart : the chromatic patches
     white_e : (C,) electrons of white in a value of each channel
     """
 
-    rendition: Rendition
+    colour_chart: ColourChart
     white_e: Array
 
 
@@ -90,14 +90,14 @@ class Colour:
         return layout.channels
 
     @cached_property
-    def measured(self) -> Rendition:
+    def measured(self) -> ColourChart:
         """The chart as the frames have it, with XYZ from the tables."""
         return replace(
-            self.truth.rendition, responses=np.maximum(self.patches_dn / self.white_dn, 0.0)
+            self.truth.colour_chart, responses=np.maximum(self.patches_dn / self.white_dn, 0.0)
         )
 
     @cached_property
-    def redrawn(self) -> list[Rendition]:
+    def redrawn(self) -> list[ColourChart]:
         """The measured chart, with the means of patches and white redrawn within their errors."""
         rng = stream("datasheet", self.seed, "colour errors")
         draws = []
@@ -109,11 +109,11 @@ class Colour:
             draws.append(replace(self.measured, responses=np.maximum(patches / white, 0.0)))
         return draws
 
-    def estimate(self, quantity: Callable[[Rendition], float]) -> Estimate:
+    def estimate(self, quantity: Callable[[ColourChart], float]) -> Estimate:
         """Return a quantity of the measured chart, with the spread of its redraws as standard
         error.
         """
-        redrawn = [quantity(rendition) for rendition in self.redrawn]
+        redrawn = [quantity(colour_chart) for colour_chart in self.redrawn]
         return Estimate(quantity(self.measured), float(np.std(redrawn, ddof=1)))
 
     @cached_property
@@ -161,7 +161,7 @@ class Colour:
     def true_snr(self) -> tuple[float, float]:
         """The ratios of `snr` by the parameters, with the mean temporal variance of the pixels."""
         p = self.readout
-        opponent = _opponents(self.truth.rendition)
+        opponent = _opponents(self.truth.colour_chart)
         variance = frame_variance_dn2(
             GREY * self.truth.white_e, self.integration_s, p, fixed_pattern=False
         )
@@ -173,30 +173,30 @@ class Colour:
         return mean / math.sqrt(luminance), mean / math.sqrt(sum(chrominance))
 
 
-def matrix_to_display(rendition: Rendition) -> Array:
+def matrix_to_display(colour_chart: ColourChart) -> Array:
     """Return the matrix from balanced channels to the display's primaries, (3, C); noise of a
     measurement may raise its gains.
     """
-    return product(rendition.to_display, rendition.fitted(DEVELOP.matrix))
+    return product(colour_chart.to_display, colour_chart.fit_matrix(DEVELOP.matrix))
 
 
-def smi(rendition: Rendition) -> float:
+def smi(colour_chart: ColourChart) -> float:
     """Return the sensitivity metamerism index of a chart."""
-    return metamerism_index(rendition.errors(matrix_to_display(rendition)))
+    return metamerism_index(colour_chart.errors(matrix_to_display(colour_chart)))
 
 
-def noise_gain(rendition: Rendition, primary: int) -> float:
+def noise_gain(colour_chart: ColourChart, primary: int) -> float:
     """Return the gain of the matrix for equal noise of the balanced channels, in a primary of the
     display.
     """
-    return float(np.sqrt(np.square(matrix_to_display(rendition)[primary]).sum()))
+    return float(np.sqrt(np.square(matrix_to_display(colour_chart)[primary]).sum()))
 
 
-def _opponents(rendition: Rendition) -> Array:
+def _opponents(colour_chart: ColourChart) -> Array:
     """Return the matrix from balanced channels to Y, R - Y and B - Y of the display's linear light,
     (3, C).
     """
-    red, green, blue = matrix_to_display(rendition)
+    red, green, blue = matrix_to_display(colour_chart)
     weights = XYZ_FROM_RGB[1] / XYZ_FROM_RGB[1].sum()
     luminance = weights[0] * red + weights[1] * green + weights[2] * blue
     return np.stack([luminance, red - luminance, blue - luminance])
@@ -216,7 +216,7 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
     xyz, white_xyz = chart_xyz(STANDARD_NM, power)
     patch_responses = chart_responses(STANDARD_NM, responses, power)[CHROMATIC_PATCHES]
     rates = (power[:, None] * responses).sum(axis=0)
-    rendition = Rendition(patch_responses, xyz[CHROMATIC_PATCHES], white_xyz, "bradford", LAMP)
+    colour_chart = ColourChart(patch_responses, xyz[CHROMATIC_PATCHES], white_xyz, "bradford", LAMP)
     layout = Layout.unbinned(physics.pixel)
     assert layout is not None
     lights = [emva_illumination(STANDARD_NM, power * curve) for curve in responses.T]
@@ -226,13 +226,13 @@ def colour_truth(readout: Readout, integration_s: float) -> _ColourTruth:
         collection = ColourCollection(
             layout, tuple(collections), tuple(rates.tolist()), physics.pitch_um, readout.bin_side
         )
-        rendition = rendition.mixed_by(collection.mixing_um2, rates)
+        colour_chart = colour_chart.mixed_by(collection.mixing_um2, rates)
         white = collection.white_e_per_s
 
-    check_separable(rendition.responses, LAMP)
-    rendition.matrix(DEVELOP)
+    check_separable(colour_chart.responses, LAMP)
+    colour_chart.matrix(DEVELOP)
     largest_e = readout.saturation_e - readout.dark_current_e_per_s * integration_s
-    return _ColourTruth(rendition, white * (_WHITE_SHARE * largest_e / white.max()))
+    return _ColourTruth(colour_chart, white * (_WHITE_SHARE * largest_e / white.max()))
 
 
 def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
@@ -278,7 +278,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     dark, dark_variance = means(capture("colour dark", np.zeros(len(layout.channels))))
     fields = [
         means(capture(f"patch {index}", truth.white_e * response))
-        for index, response in enumerate(truth.rendition.responses)
+        for index, response in enumerate(truth.colour_chart.responses)
     ]
     white, white_variance = means(capture("white", truth.white_e))
     signal = white - dark

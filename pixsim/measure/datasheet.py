@@ -757,7 +757,7 @@ def _colour_entries(sheet: DataSheet) -> list[Entry]:
     c = sheet.colour
     if not isinstance(c, Colour):
         return []
-    true = c.truth.rendition
+    true = c.truth.colour_chart
     row = "norm of the row of the matrix from balanced channels to the display's linear light"
     gains = [
         (name, partial(colours.noise_gain, primary=index)) for index, name in enumerate(_PRIMARIES)

@@ -727,7 +727,7 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
         _absolute_source(prepared),
         "--config",
         SETTINGS_FILE,
-        *["--full"] * imaging.full,
+        *["--full"] * imaging.without_shortcuts,
     ]
     command += [word for name, value in options.items() if value for word in (f"--{name}", value)]
     return settings_text(_settings_to_repeat(prepared, irradiance), shlex.join(command))

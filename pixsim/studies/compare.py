@@ -660,7 +660,7 @@ def _compared_sensor(
         dark=dark_clip(score.readout, time_s, white_e),
         white_e=white_e,
         steps=steps,
-        colour=None if chain.rendition is None else chain.development.colour_facts(time_s),
+        colour=None if chain.colour_chart is None else chain.development.colour_facts(time_s),
         budget=budget,
     )
 

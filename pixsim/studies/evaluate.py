@@ -158,7 +158,12 @@ class RenderedCase:
         """
         imaging = self.imaging
         border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
-        shared = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
+        shared = (
+            imaging.develop.content_hash,
+            border_um,
+            imaging.in_float32,
+            imaging.metrics.content,
+        )
         return [content_hash([display.content_hash, *shared]) for display in self.displays]
 
     @cached_property
@@ -247,7 +252,7 @@ def rendered_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[
             None if background is None else background.header,
         ]
         displays = [display.content_hash for display in (imaging.display, *case.further_displays)]
-        view_content = displays, imaging.metrics.content, imaging.develop.tone, imaging.single
+        view_content = displays, imaging.metrics.content, imaging.develop.tone, imaging.in_float32
         key = content_hash([*light_content, *view_content])
 
         if key not in caches:
@@ -611,7 +616,7 @@ def frames_of(
         if light_optional and cached_frames:
             chain = _chain_of_cached_frame(task, light, repeat, cached_frames)
         chain = chain or chain_of(task, light, repeat)
-        if chain.rendition is not None:
+        if chain.colour_chart is not None:
             chain.development.matrix  # noqa: B018 – raises an error before a frame is made
 
         rows, columns = chain.signal_e_per_s.shape[:2]

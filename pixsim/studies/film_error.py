@@ -980,7 +980,7 @@ def chains_of_film(
     """
     # Each part has the border of its own pixels; what moves or flickers shows less of the film.
     steady = imaging.exposure.steady
-    imaging = imaging.changed(border_um=None, single=False, motion=NO_MOTION, exposure=steady)
+    imaging = imaging.changed(border_um=None, in_float32=False, motion=NO_MOTION, exposure=steady)
 
     def prepare(number: int) -> ImagingChain:
         part, display = film[number]

@@ -199,9 +199,11 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
 
         # The first picture takes the place of the ideal image.
         screen = chain.screen
-        ideal_lab = perceived_lab(pictures[0], screen.display, screen.full, screen.single)
+        ideal_lab = perceived_lab(
+            pictures[0], screen.display, screen.without_shortcuts, screen.in_float32
+        )
         screen = replace(screen, ideal_lab=ideal_lab)
-        delta_e.append(float(screen.delta_e_of(pictures[1]).mean()))
+        delta_e.append(float(screen.delta_e_map(pictures[1]).mean()))
 
     return float(np.mean(delta_e))
 
@@ -426,7 +428,7 @@ def light_request(case: Case[Any]) -> LightRequest:
     camera = case.camera
     study = case.settings
     if isinstance(study, Run):
-        full = case.imaging is not None and case.imaging.full
+        full = case.imaging is not None and case.imaging.without_shortcuts
         run_plan = partial(plan_of, camera=camera, settings=study, full=full)
         return LightRequest(
             scene,

@@ -91,7 +91,7 @@ from pixsim.viewer.metrics import (
     columns_of_metrics,
 )
 from pixsim.viewer.scene_light import check_background
-from pixsim.viewer.screen import allows_single
+from pixsim.viewer.screen import allows_float32
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.without_effect import (
     SOLVE_FOR,
@@ -967,7 +967,7 @@ def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
             combination,
             sensor=name,
             imaging=imaging.changed(
-                single=allows_single(study.tolerance_delta_e),
+                in_float32=allows_float32(study.tolerance_delta_e),
                 metrics=metrics_of(study, study.repeats),
             ),
             # The name of the technology, not its path, which is no part of a result.

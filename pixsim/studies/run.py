@@ -379,7 +379,7 @@ def prepare(
     case = Case(
         complete, resolved=(light_source, camera), stream=("evaluate", settings.seed), frames=frames
     )
-    case = sensor_case(case, repeats=repeats, units=units, full=full, is_run=True)
+    case = sensor_case(case, repeats=repeats, units=units, without_shortcuts=full, is_run=True)
     assert case.imaging is not None
     case = replace(case, sensor=case.imaging.technology.name)
     job = Job(
@@ -577,7 +577,7 @@ class RunResult(RenderedRun, Result):
     @property
     def colour(self) -> dict[str, Any] | None:
         """Channels, matrix and noise gains of a colour sensor, as in score.json, or None."""
-        if self.chain.rendition is None:
+        if self.chain.colour_chart is None:
             return None
         return self.chain.development.colour_facts(self.score.frame.integration_s)
 

@@ -950,7 +950,7 @@ def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
             repeats=repeats,
             border_um=group.border_um(case.camera),
             request=request,
-            single=True,
+            in_float32=True,
         )
     return replace(complete, stream=("compare", case.settings.seed))
 

@@ -91,7 +91,7 @@ from pixsim.studies.uncertainty import (
 from pixsim.viewer.merging import merge
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Score
-from pixsim.viewer.screen import allows_single, warn_of_clipping
+from pixsim.viewer.screen import allows_float32, warn_of_clipping
 
 if TYPE_CHECKING:
     from pixsim.sensor.spread import Uncertainty
@@ -486,7 +486,7 @@ def _cases_of_types(number: int, base: StudyResult, sample: Sample) -> Iterator[
             assert case.imaging is not None
             imaging = case.imaging.changed(
                 display=judged.display,
-                single=allows_single(judged.tolerance_delta_e),
+                in_float32=allows_float32(judged.tolerance_delta_e),
                 metrics=metrics_of(judged, FEW_SENSORS),
             )
             yield replace(case, imaging=imaging, sizes=sizes[case.sensor], caches_frames=False)

@@ -1,9 +1,8 @@
-"""What decides a mean ΔE other than the sensor's noise and blur: to be named before the number is
-believed.
+"""Causes of a mean ΔE other than the sensor's noise and blur, which make it meaningless.
 
-Light that is not computed, an ideal image without contrast, an ADC with too few codes for the
-picture, and pixels that are full. A frame tells nothing where all of its pixels are full, or where
-light changes no code: the one rule for all that may lead there.
+They are light that is not computed, an ideal image without contrast, an ADC with too few codes for
+the picture, and full pixels. A frame is uninformative if all pixels are full, or if light changes
+no code.
 """
 
 from __future__ import annotations
@@ -159,9 +158,7 @@ def is_uninformative(
 
 
 def _uninformative_cause(cause: Cause | None, saturated_fraction: float) -> Cause:
-    """Return a cause of the sensor as one that leaves nothing; without one, full pixels or noise
-    are the cause.
-    """
+    """Return the cause of an uninformative frame: the sensor's cause, else full pixels or noise."""
     if cause is None and saturated_fraction >= _ALL_SATURATED:
         cause = Cause("all pixels are saturated", _BLACK_TO_WHITE_DELTA_E, _less_light())
     elif cause is None:

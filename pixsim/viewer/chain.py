@@ -32,7 +32,7 @@ from pixsim.sensor.readout import (
     sample_sensor,
     with_shared_time,
 )
-from pixsim.viewer.develop import Rendition
+from pixsim.viewer.develop import ColourChart
 from pixsim.viewer.development import Development
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scene_light import LightFacts, PreparedScene, SharedLight, prepare_scene
@@ -42,7 +42,7 @@ from pixsim.viewer.screen import ROUNDING, Screen
 
 @dataclass(frozen=True)
 class ExpectedFrame:
-    """What is expected of a frame before any noise is drawn, and what this depends on.
+    """The expected electrons of a frame, before noise is drawn, with the light and the settings.
 
     light : facts of the light
     development : how such frames become pictures
@@ -77,16 +77,16 @@ class ExpectedFrame:
 
 @dataclass(frozen=True)
 class ImagingChain:
-    """Everything that the frames of one pixel type share: its mean signal, its exposure, and the
-    screen that shows them.
+    """From light to the frames of one pixel type, and to their scores on a screen.
 
     imaging : settings, of the pixels at their place on the die
     readout : how the pixels are read, at the gain of the exposure
     exposure : of the settings, with its time where other light meters it
     signal_e_per_s : of every value of a frame, (rows, columns)
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
-    collection : what the pixels' stack does to their light, or None without a stack
-    rendition : what the channels see of a chart, or None for a monochrome sensor
+    collection : light that reaches the photodiodes through the pixels' stack, or None without a
+        stack
+    colour_chart : what the channels respond to its patches, or None for a monochrome sensor
     scene : the light, or None for a chain that stays in memory
     background_e_per_s : the signal of the scene without its target, or None if no metric asks
     moving : how the light moves in a frame, whose time the exposure states then
@@ -100,7 +100,7 @@ class ImagingChain:
     whites_e_per_s: tuple[float, ...]
     screen: Screen
     collection: Collection | ColourCollection | None = None
-    rendition: Rendition | None = None
+    colour_chart: ColourChart | None = None
     scene: PreparedScene | None = None
     background_e_per_s: Array | None = None
     image_motion: ImageMotion = NO_IMAGE_MOTION
@@ -119,7 +119,7 @@ class ImagingChain:
             self.signal_e_per_s,
             self.whites_e_per_s,
             self.screen,
-            self.rendition,
+            self.colour_chart,
             self.collection,
         )
 
@@ -152,10 +152,9 @@ class ImagingChain:
         )
 
     def registered(self, number: int) -> ImagingChain:
-        """Return the chain of the same pixels at another of the spread registrations."""
+        """Return the chain of the same pixels at another registration (`Imaging.spread`)."""
         assert self.scene is not None
-        # What is read at other places is not shown, so the room that this chain's dots have is all
-        # that motion needs.
+        # Frames at other registrations are not displayed, so they need no room for motion.
         imaging = self.imaging.spread(number).changed(exposure=self.exposure)
         return make_chain(imaging, self.scene, room_is_checked=True)
 
@@ -174,7 +173,7 @@ class ImagingChain:
     def capture(self, *key: object, sensor_of: Callable[..., Sensor] | None = None) -> Frame:
         """Return the frame that `simulate` scores.
 
-        sensor_of : returns the sensor of a key, which may be known. None draws it
+        sensor_of : returns the sensor of a key, such as a cached one. None draws it
         """
         # Before the sensor is drawn: later it would take three times as long.
         frame_rng = stream(*key, "frame")
@@ -206,7 +205,7 @@ class ImagingChain:
         make_correction_rng : makes the second one; it is called only if the camera corrects its
             frames
         """
-        frame = self._taken(sensor, frame_rng)
+        frame = self._capture_frame(sensor, frame_rng)
         correction = self.imaging.correction
         if not correction.is_on:
             return frame
@@ -230,9 +229,9 @@ class ImagingChain:
             return
         sensor = self.sensor(*key)
         for number in range(2, count + 1):
-            yield self._taken(sensor, stream(*key, "frame", number))
+            yield self._capture_frame(sensor, stream(*key, "frame", number))
 
-    def _taken(self, sensor: Sensor, rng: np.random.Generator) -> Frame:
+    def _capture_frame(self, sensor: Sensor, rng: np.random.Generator) -> Frame:
         return capture_from_rates(
             self.signal_e_per_s, sensor, self.exposure, rng, self.subexposures_e_per_s
         )
@@ -289,14 +288,14 @@ def _standing(
 ) -> ImagingChain:
     """Return the chain of light that stands still."""
     physics = imaging.physics
-    rendition = scene.rendition
+    colour_chart = scene.colour_chart
     _check_whole_cell(physics, signal.shape)
 
     collection: Collection | ColourCollection | None = collections[0] if collections else None
-    if collections and rendition is not None:
+    if collections and colour_chart is not None:
         collection = scene.collection(physics, collections)
         whites = tuple(collection.white_e_per_s.tolist())
-        rendition = rendition.mixed_by(collection.mixing_um2, np.array(collection.rates))
+        colour_chart = colour_chart.mixed_by(collection.mixing_um2, np.array(collection.rates))
     else:
         whites = scene.whites_e_per_s(physics)
 
@@ -313,7 +312,7 @@ def _standing(
         whites,
         scene.screen,
         collection,
-        rendition,
+        colour_chart,
         scene,
         background,
     )
@@ -387,9 +386,7 @@ def _check_room(chain: ImagingChain, image_motion: ImageMotion) -> None:
 
 
 def _check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
-    """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and
-    with it colours.
-    """
+    """Raise PixsimError if a frame (rows, columns) is smaller than the unit cell of its mosaic."""
     layout = physics.layout
     if layout is None:
         return

@@ -750,8 +750,8 @@ def _cell_products(
 
     count = size + range_px + period * last + 1
     products = _filtered_products(dot_px, interpolation, count, taps)
-    at = np.arange(size)
-    distance = np.abs(at[:, None] - at + period * lags[:, None, None])
+    place = np.arange(size)
+    distance = np.abs(place[:, None] - place + period * lags[:, None, None])
     return middle + lags, products[distance]
 
 

@@ -1,5 +1,5 @@
-"""What the channels of a colour sensor see under the scene's lamp, the matrix from it, and the
-picture of an ideal camera.
+"""A colour chart under the scene's lamp as the channels of a sensor record it, the colour matrix
+fitted to it, and the picture of an ideal camera.
 
 One matrix leads from the camera's channels to XYZ under the scene's lamp, to the display's white
 (adaptation) and to its primaries. The matrix from the channels to XYZ is fitted to patches 1-18 of
@@ -42,15 +42,15 @@ from pixsim.viewer.display_options import Display
 
 
 @dataclass(frozen=True)
-class Rendition:
-    """What a camera and a viewer see of the chart under the scene's lamp, from which the colour
-    matrix follows.
+class ColourChart:
+    """A colour chart under the scene's lamp, as the channels of a camera and the CIE observer
+    measure its patches; the colour matrix is fitted to it.
 
     responses : (P, C) electrons of the patches in each channel, relative to the electrons of white
     xyz : (P, 3) of the patches, Y = 1 for white
     white_xyz : (3,) of the lamp
     adaptation : from that white to the display's
-    lamp : in words, for messages
+    lamp : its name, for messages
     """
 
     responses: Array = field(repr=False)
@@ -68,13 +68,13 @@ class Rendition:
         or if the matrix amplifies noise more than 10 times.
         """
         try:
-            matrix = self.fitted(develop.matrix, covariance)
+            matrix = self.fit_matrix(develop.matrix, covariance)
             check_noise_gains(matrix, self.white_xyz, self.adaptation)
         except PixsimError as error:
             raise type(error)(f"colour under {self.lamp}: {error}") from None
         return product(self.to_display, matrix)
 
-    def fitted(self, method: Fit, covariance: Array | None = None) -> Array:
+    def fit_matrix(self, method: Fit, covariance: Array | None = None) -> Array:
         """Return the matrix from balanced channels to XYZ under the lamp, (3, C), however much it
         amplifies noise.
 
@@ -86,13 +86,15 @@ class Rendition:
             tuple(self.white_xyz.tolist()),
             self.responses.shape,
         )
-        return _fitted(*key, method, covariance.tobytes() if covariance is not None else None)
+        return _cached_fit(*key, method, covariance.tobytes() if covariance is not None else None)
 
-    def mixed_by(self, mixing: Array, rates: Array) -> Rendition:
-        """Return what channels see that exchange light before they are read, (C, C), of rates (C,)
-        of white in each.
+    def mixed_by(self, mixing: Array, rates: Array) -> ColourChart:
+        """Return the chart as channels record it that exchange light before they are read.
 
         A camera's matrix is fitted to what it records, crosstalk included.
+
+        mixing : (C, C) light that each channel collects, by the channel whose filter it passes
+        rates : (C,) of white in each channel
         """
         light = self.responses * rates
         white = (mixing * rates).sum(axis=1)
@@ -120,7 +122,7 @@ class Rendition:
 
 
 @lru_cache(maxsize=64)
-def _fitted(
+def _cached_fit(
     responses: bytes,
     xyz: bytes,
     white_xyz: tuple[float, ...],
@@ -164,12 +166,13 @@ def _observer(number: int, wavelength_nm: Array) -> Array:
     return np.asarray(colour_matching(wavelength_nm)[..., number])
 
 
-def rendition_of(
+def measure_colour_chart(
     irradiance: SpectralImage, channels: Sequence[PixelPhysics], display: Display
-) -> Rendition:
-    """Return what the channels of a pixel, and a viewer, see of the chart under the scene's lamp.
+) -> ColourChart:
+    """Return the colour chart under the scene's lamp, as the channels of a pixel and the CIE
+    observer measure it.
 
-    Raises PixsimError if a channel, or the observer, sees nothing of the lamp.
+    Raises PixsimError if a channel, or the observer, does not respond to the lamp.
     """
     lamp, name = white_light(irradiance)
     nodes_nm, shares = irradiance.within
@@ -196,7 +199,7 @@ def rendition_of(
 
     responses = (electrons[None] * reflectance[:, None]).sum(axis=(2, 3)) / white_e
     check_separable(responses, name)
-    return Rendition(
+    return ColourChart(
         responses=responses,
         xyz=(viewer[None] * reflectance[:, None]).sum(axis=(2, 3)) / white_xyz[1],
         white_xyz=white_xyz / white_xyz[1],
@@ -206,7 +209,7 @@ def rendition_of(
 
 
 def check_separable(responses: Array, lamp: str) -> None:
-    """Raise PixsimError if the channels tell no three colours of the patches, (P, C), apart."""
+    """Raise PixsimError if the responses to the patches, (P, C), have a rank below 3."""
     sizes = np.linalg.svd(responses, compute_uv=False)
     rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
     if rank < 3:
@@ -241,7 +244,7 @@ def ideal_rgb(
     No pixels, noise, quantisation, diffraction or colour error: the scene's XYZ, means over dots,
     adapted to the display's white.
 
-    to_display : of a `Rendition`
+    to_display : of a `ColourChart`
     edges_um : of the dots' rows and columns
     """
     weights = xyz_weights(irradiance)

@@ -1,5 +1,5 @@
-"""How the camera makes a picture of a raw frame: its steps, in the order in which they stand in
-`pixsim.viewer.develop_steps`.
+"""Settings of the development of a raw frame; `pixsim.viewer.develop_steps` lists the steps in
+their order.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAX_TONE_ROWS = 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
 _ToneRow = tuple[Annotated[float, Field(ge=0, le=_MAX_TONE_LIGHT)], UnitInterval]
 _ToneTable = tuple[_ToneRow, ...]
-_FUNCTION_HINT = "the function of one's own is given in Python: develop={'denoise': my_function}"
+_FUNCTION_HINT = "a user's function can be set in Python only: develop={'denoise': my_function}"
 
 
 def _as_gains(value: object) -> object:
@@ -65,12 +65,12 @@ class _UserDenoiser:
         return _UserDenoiser, (by_value(self.function), self.text)
 
 
-# Denoisers of this process by their texts, as which settings are handed on.
+# Denoisers of this process by their texts, which stand for them in settings.
 _functions: dict[str, _UserDenoiser] = {}
 
 
 def _user_denoiser(function: Callable[[Any, float], Any]) -> _UserDenoiser:
-    """Return the denoiser of a function, which this process knows from now on."""
+    """Register a function in this process, and return its denoiser."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
     denoiser = _UserDenoiser(
         function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}"
@@ -165,7 +165,9 @@ def _checked_tone(rows: _ToneTable, source: str) -> _ToneTable:
                 " stays brighter"
             )
     if rows[0][1] == rows[-1][1]:
-        raise ValueError(f"got {source} of one value, {rows[0][1]:g}; allowed: increasing values")
+        raise ValueError(
+            f"got {source} of equal values, {rows[0][1]:g}; allowed: increasing values"
+        )
     return rows
 
 
@@ -187,16 +189,16 @@ class Develop(Record):
         "none",
         description=(
             "noise reduction on the raw planes, before demosaicing: 'nlm', non-local means, and"
-            " 'wavelet', both of scikit-image behind a transform that makes the known noise even;"
-            " or 'wiener_bound', the linear shift-invariant filter of least mean square error,"
-            " which knows the picture; in Python also a function"
+            " 'wavelet', both of scikit-image behind a transform that makes the known noise"
+            " uniform; or 'wiener_bound', the linear shift-invariant filter of least mean square"
+            " error, which knows the picture; in Python also a function"
         ),
     )
     denoise_strength: Annotated[float, Field(ge=0, le=100)] = Field(
         1.0,
         description=(
-            "of 'nlm', 'wavelet' and a function: the noise that is taken away, relative to the"
-            " known one"
+            "of 'nlm', 'wavelet' and a function: the noise that is removed, relative to the known"
+            " noise"
         ),
     )
     white_balance: Annotated[Literal["known"] | tuple[Gain, ...], BeforeValidator(_as_gains)] = (
@@ -300,8 +302,8 @@ class Develop(Record):
 
     @property
     def tone(self) -> dict[str, Any]:
-        """What the tone curve depends on, on which the ideal picture depends too; empty without
-        one.
+        """Settings of the tone curve, on which the ideal picture depends too; empty without a
+        curve.
         """
         if self.tone_curve == "none":
             return {}
@@ -313,9 +315,7 @@ class Develop(Record):
 
     @property
     def words(self) -> str:
-        """What is on for frames of all kinds, for a headline; empty where they are shown as they
-        are.
-        """
+        """Names of the steps that are on for frames of any kind, for a headline; empty if none."""
         curve = self.tone_curve if isinstance(self.tone_curve, str) else "of a table"
         parts = (
             f"denoised ({self.denoiser})" if self.denoises else "",
@@ -329,8 +329,8 @@ DEVELOP = Develop()
 
 
 def developed_words(develop: Develop, pixels: Iterable[PixelOptions]) -> str:
-    """Return the steps of development that are on for frames of some pixels, for a headline; empty
-    where frames are shown as they are.
+    """Return names of the steps of development that are on for frames of pixels, for a headline;
+    empty if none is.
     """
     colours = [
         pixel.colour for pixel in pixels if pixel.colour is not None and not pixel.colour.is_stacked
@@ -349,8 +349,9 @@ def check_develop(develop: Develop, pixel: PixelOptions) -> None:
         return
     channels = channels_of(colour.cell)
     cell = colour.cell
-    if develop.remosaic and (single := () if colour.is_stacked else binned_cell(cell)):
-        cell = single
+    single_cell = () if colour.is_stacked else binned_cell(cell)
+    if develop.remosaic and single_cell:
+        cell = single_cell
     is_bayer = not colour.is_stacked and cell in BAYER.values()
     if develop.demosaic in ("bilinear", "malvar2004", "menon2007") and not is_bayer:
         words = "stacked channels" if colour.is_stacked else f"the unit cell {', '.join(cell)}"

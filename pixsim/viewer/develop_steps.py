@@ -1,5 +1,5 @@
-"""The steps that make the picture of a raw frame, in their order: what each works on, and what it
-does to the noise.
+"""The steps of development in their order: what each works on, and how noise propagates through
+it.
 
 Black level and expected dark charge are off the frame, and `[correction]` is done. Then, of a frame
 with colour filters or without:
@@ -61,14 +61,14 @@ _MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 
 @dataclass(frozen=True)
 class UndevelopedFrame:
-    """A frame to be developed, and what the steps know of it.
+    """A frame to be developed, with the inputs of all steps.
 
     imaging : settings of the frame, with the display that shows it
     readout : how its pixels are read
     white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each
         channel; (1,) without filters
     shading : by which each value of the frame is divided, or None for none
-    single : compute in float32 from white balance on, except by menon2007, if `fits_single`
+    in_float32 : compute in float32 from white balance on, except by menon2007, if `fits_single`
     expected_e : mean photo-electrons of each value of the frame, for 'wiener_bound'
     sharpen_px : standard deviation of the blur of sharpening in pixels
     matrix : (3, C) from the channels to the display's primaries, or None for one channel
@@ -80,7 +80,7 @@ class UndevelopedFrame:
     readout: Readout
     white_e: Array
     shading: Array | None = field(default=None, repr=False)
-    single: bool = False
+    in_float32: bool = False
     expected_e: Array | None = field(default=None, repr=False)
     sharpen_px: float = 1.0
     matrix: Array | None = field(default=None, repr=False)
@@ -98,8 +98,8 @@ class UndevelopedFrame:
 
     @property
     def mosaic(self) -> Layout | None:
-        """Layout of the mosaic that is demosaiced, or None if every pixel has every channel, or
-        there is but one.
+        """Layout of the mosaic that is demosaiced, or None if every pixel has every channel, or the
+        sensor is monochrome.
         """
         layout = self.layout
         if layout is None or layout.is_stacked:
@@ -347,11 +347,10 @@ def _wiener_responses(raw: UndevelopedFrame) -> list[Array]:
 
 
 def _denoised_noise(noise: _ChannelNoise, raw: UndevelopedFrame) -> _ChannelNoise:
-    """Return the noise behind 'wiener_bound': what columns and rows share is made less by what
-    their coefficients lose in the mean.
+    """Return the noise behind 'wiener_bound', whose mean power response in row 0 and column 0
+    scales the offsets of columns and rows.
 
-    What filters take away that adapt to the picture has no closed form: the noise stays as it is
-    before them.
+    Filters that adapt to the picture have no closed form: the noise stays the same.
     """
     if raw.develop.adapts:
         return noise
@@ -436,7 +435,7 @@ def _white_balance(picture: Array, raw: UndevelopedFrame) -> Array:
     frame = raw.frame
     if layout is None:
         white_e = float(raw.white_e[0])
-        return relative_to_white(picture, frame, white_e, raw.shading, single=raw.single)
+        return relative_to_white(picture, frame, white_e, raw.shading, single=raw.in_float32)
 
     divisors = balance(raw.develop, layout, raw.white_e)
     if raw.shading is not None:
@@ -451,8 +450,8 @@ def _white_balance(picture: Array, raw: UndevelopedFrame) -> Array:
             picture[number::height] /= row_divisors
 
     # menon2007 compares sums: rounding would decide where they are nearly equal.
-    is_single = raw.single and raw.method != "menon2007"
-    if is_single and fits_single(frame, float(divisors.min())):
+    in_float32 = raw.in_float32 and raw.method != "menon2007"
+    if in_float32 and fits_single(frame, float(divisors.min())):
         return np.asarray(picture, np.float32)
     return picture
 
@@ -485,8 +484,8 @@ def _demosaic(picture: Array, raw: UndevelopedFrame) -> list[Array]:
 
 
 def _whiten(planes: Sequence[Array], is_saturated: NDArray[np.bool_], layout: Layout) -> None:
-    """Make pixels neutral, in place, whose channels come from a saturated value: as bright as their
-    brightest channel, since nothing is known of their colour.
+    """Make pixels neutral, in place, whose channels depend on a saturated value: all channels
+    become the brightest one, since the colour is unknown.
     """
     if layout.is_stacked:
         is_affected = np.any(np.split(is_saturated, layout.planes), axis=0)
@@ -587,7 +586,7 @@ STEPS: Mapping[str, Step] = {
 def _through_steps(
     values: object, raw: UndevelopedFrame, works_on: str, but: Sequence[str] = ()
 ) -> object:
-    """Return what the steps of one kind make of what the first of them takes.
+    """Apply the steps of one kind, each to the result of the one before.
 
     but : names of steps that are left out
     """

@@ -20,7 +20,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, integration_time_s, make_frame, with_shared_time
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
-from pixsim.viewer.develop import Rendition
+from pixsim.viewer.develop import ColourChart
 from pixsim.viewer.develop_steps import (
     UndevelopedFrame,
     developed_planes,
@@ -44,8 +44,9 @@ class Development:
     exposure : of the frames, whose time may be known
     signal_e_per_s : expected light of every value of a frame, (rows, columns)
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
-    rendition : what the channels see of a chart, or None for a monochrome sensor
-    collection : what the pixels' stack does to their light, or None without a stack
+    colour_chart : what the channels respond to its patches, or None for a monochrome sensor
+    collection : light that reaches the photodiodes through the pixels' stack, or None without a
+        stack
     """
 
     imaging: Imaging
@@ -54,7 +55,7 @@ class Development:
     signal_e_per_s: Array = field(repr=False)
     whites_e_per_s: tuple[float, ...]
     screen: Screen
-    rendition: Rendition | None = None
+    colour_chart: ColourChart | None = None
     collection: Collection | ColourCollection | None = field(default=None, repr=False)
 
     @property
@@ -68,8 +69,8 @@ class Development:
 
     @cached_property
     def flat_field(self) -> Array | None:
-        """What each pixel collects of uniform light, relative to one on axis, (rows, columns), or
-        None without a stack.
+        """Light that each pixel collects of a uniform field, relative to a pixel on axis, (rows,
+        columns), or None without a stack.
         """
         return (
             None if self.collection is None else self.collection.relative(self.signal_e_per_s.shape)
@@ -77,7 +78,7 @@ class Development:
 
     @cached_property
     def shading(self) -> Array | None:
-        """By what the display divides a frame, (rows, columns), or None for nothing."""
+        """Factors by which a frame is divided before display, (rows, columns), or None."""
         if not self.screen.display.shading_correction:
             return None
         return shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction)
@@ -87,23 +88,23 @@ class Development:
         """Matrix from balanced channels to the light of the display's primaries, (3, C); only for
         colour sensors.
 
-        Raises PixsimError as `Rendition.matrix` does, with the pixel's pitch.
+        Raises PixsimError as `ColourChart.matrix` does, with the pixel's pitch.
         """
         try:
             return self._fitted_matrix()
         except PixsimError as error:
-            words = f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}"
+            message = f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}"
             if self.collection is not None:
-                words += " Light between neighbours counts: larger pixels mix the channels less."
-            raise type(error)(words) from None
+                message += " Light between neighbours counts: larger pixels mix the channels less."
+            raise type(error)(message) from None
 
     def _fitted_matrix(self) -> Array:
-        assert self.rendition is not None
+        assert self.colour_chart is not None
         develop = self.imaging.develop
         if develop.matrix != "noise_aware":
-            return self.rendition.matrix(develop)
+            return self.colour_chart.matrix(develop)
         time_s = integration_time_s(self.exposure, self.readout, float(self.signal_e_per_s.max()))
-        return self.rendition.matrix(develop, self.channel_covariance(time_s))
+        return self.colour_chart.matrix(develop, self.channel_covariance(time_s))
 
     def channel_covariance(self, integration_s: float) -> Array:
         """Return the covariance of the balanced channels on each patch of the chart, (P, C, C), as
@@ -111,7 +112,7 @@ class Development:
 
         In closed form, without what noise reduction that adapts to the picture takes away.
         """
-        assert self.rendition is not None
+        assert self.colour_chart is not None
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
         frame = make_frame(
             empty,
@@ -121,23 +122,23 @@ class Development:
             with_shared_time(self.exposure, integration_s),
         )
         return noise_covariance(
-            self.undeveloped(frame, matrix=None), self.rendition.responses, self.screen.dot_um
+            self.undeveloped(frame, matrix=None), self.colour_chart.responses, self.screen.dot_um
         )
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:
-        """Return what score.json has of a colour sensor: its channels, matrix and noise in an
+        """Return the entries of a colour sensor in score.json: its channels, matrix and noise in an
         exposure.
         """
         layout = self.readout.physics.layout
-        assert self.rendition is not None
+        assert self.colour_chart is not None
         assert layout is not None
-        errors = self.rendition.errors(self.matrix)
+        errors = self.colour_chart.errors(self.matrix)
         dot_um = self.screen.dot_um
         pitch_um = self.readout.physics.read_pitch_um
         whites_e = (np.array(self.whites_e_per_s) * integration_s).tolist()
         return {
             "layout": str(layout),
-            "white_spectrum": self.rendition.lamp,
+            "white_spectrum": self.colour_chart.lamp,
             "white_e": dict(zip(layout.channels, whites_e, strict=True)),
             "matrix_to_display": self.matrix.tolist(),
             "noise_gains": np.sqrt((self.matrix**2).sum(axis=1)).tolist(),
@@ -181,7 +182,7 @@ class Development:
         return noise_gain(self.imaging.develop.sharpen_amount, self.sharpen_px)
 
     def undeveloped(self, frame: Frame, matrix: Array | None) -> UndevelopedFrame:
-        """Return a frame with all that the steps of its development know.
+        """Return a frame with the inputs of its development.
 
         matrix : from the channels to the display's primaries. None leaves it out
         """
@@ -193,15 +194,15 @@ class Development:
             self.readout,
             np.array(self.whites_e_per_s) * time_s,
             self.shading,
-            self.screen.single,
+            self.screen.in_float32,
             self.signal_e_per_s * time_s if develop.denoise == "wiener_bound" else None,
             self.sharpen_px if develop.sharpens else 1.0,
             matrix,
         )
 
     def light(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
-        """Return what a frame asks of the display's dots: luminance (H, W), or light of the
-        primaries (3, H, W), 1 for white.
+        """Return a frame's picture before the display clips and rounds it: luminance (H, W), or
+        light of the primaries (3, H, W), 1 for white.
 
         window : selects a part of the dots. None takes all
         """
@@ -215,7 +216,7 @@ class Development:
         self, frame: Frame, window: Callable[[Array], Array] | None = None
     ) -> Array:
         """Return `light` without the tone curve."""
-        undeveloped = self.undeveloped(frame, None if self.rendition is None else self.matrix)
+        undeveloped = self.undeveloped(frame, None if self.colour_chart is None else self.matrix)
         return self.mixed_on_dots(developed_planes(undeveloped), undeveloped, window)
 
     def mixed_on_dots(
@@ -260,7 +261,7 @@ class Development:
         rows_um, columns_um = screen.dot_edges_um
         border_um = max(0.0, float(rows_um[0])), max(0.0, float(columns_um[0]))
         return FrameScore(
-            screen.delta_e_of(image),
+            screen.delta_e_map(image),
             screen.ideal,
             image,
             screen.display,

@@ -389,14 +389,14 @@ def _edges_in_cells(edges_um: Array, pitch_um: float, low_um: float) -> Array:
 
 @lru_cache(maxsize=4)  # the frames of a pitch share them
 def _mean_weights(
-    count: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, single: bool
+    count: int, pitch_um: float, low_um: float, edges_bytes: bytes, degree: int, in_float32: bool
 ) -> csr_array:
     """Return the weights of cells in the means between neighbouring edges, sparse (edges - 1,
     count).
 
     pitch_um, low_um : as in `average_axis`
     edges_bytes : of the array of edges (µm), float64
-    single : return them in float32
+    in_float32 : return them in float32
 
     The basis function of a value is a box (degree 0) or a hat (degree 1) around its position; the
     outermost ones extend to infinity. Their integral up to an edge has a closed form, and few of
@@ -420,7 +420,7 @@ def _mean_weights(
     weight = integral / np.diff(edges)[:, None]
     is_used = (cell <= last[:, None]) & (weight != 0)
     row_starts = np.concatenate([[0], np.cumsum(is_used.sum(axis=1))])
-    weights = weight[is_used].astype(np.float32 if single else float)
+    weights = weight[is_used].astype(np.float32 if in_float32 else float)
     return csr_array((weights, cell[is_used], row_starts), shape=(edges.size - 1, count))
 
 
@@ -655,11 +655,11 @@ def _code_borders(gamma: float, top: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
+def _light_of_bins(gamma: float, top: int, in_float32: bool) -> Array:
     """Return the light shown for all luminances of each of n equal bins from 0 to 1, and for 1, (n
     + 1,); NaN for several codes.
 
-    single : return it in float32
+    in_float32 : return it in float32
     """
     count = min(_BINS_PER_CODE * (top + 1), MAX_BINS)
     edges = np.arange(count + 1) / count
@@ -668,7 +668,7 @@ def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
     last_code = np.searchsorted(borders, edges[1:], "left")
     light = np.where(first_code == last_code, _light_of_codes(gamma, top)[first_code], np.nan)
     light = np.append(light, 1.0)
-    return light.astype(np.float32) if single else light
+    return light.astype(np.float32) if in_float32 else light
 
 
 def to_xyz(luminance: Picture) -> Array:

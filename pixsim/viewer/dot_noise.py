@@ -34,10 +34,9 @@ class RawNoise(NamedTuple):
 
 
 class _AxisPower(NamedTuple):
-    """What one axis does to noise: cross-spectra on its dots, (n, n, dots), of n pictures with each
-    other.
+    """Cross-spectra of noise along one axis of the dots, (n, n, dots), of n pictures.
 
-    They are the plain picture, and of sharpening the blurred one.
+    The pictures are the plain one and, for sharpening, the blurred one.
 
     independent : of pixels of variance 1
     shared : of one offset of variance 1 in all pixels along the axis

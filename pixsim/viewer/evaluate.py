@@ -1,6 +1,4 @@
-"""From settings and light to a score: `evaluate`, and the steps of it that commands take by
-themselves.
-"""
+"""From settings and light to a score: `evaluate`, and its steps, which commands share."""
 
 from __future__ import annotations
 
@@ -44,13 +42,13 @@ S = TypeVar("S", bound=Score)
 MAX_CHAINS = 8
 _MAX_CHAIN_BYTES = 1 << 27
 _MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
-# The last one last; with `PreparedScene.beyond_white`.
+# In the order of their last use; with `PreparedScene.beyond_white`.
 _recent_chains: dict[str, tuple[ImagingChain, float]] = {}
 
 
 def reviewed(imaging: Imaging, light: SceneLight) -> Imaging:
-    """Return settings that were not checked yet, with the white that the light says; warns for each
-    note of their review.
+    """Check settings, and return them with the white of the light; warns for each note of the
+    review.
 
     Warns, too, if the scene's white is estimated (`white_header`).
     """
@@ -67,8 +65,7 @@ def reviewed(imaging: Imaging, light: SceneLight) -> Imaging:
 
 
 def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = False) -> ImagingChain:
-    """Return the imaging chain of settings that were not checked yet, with a warning for each note
-    of their review.
+    """Check settings, and return their imaging chain; warns for each note of the review.
 
     is_recent : whether the chain stays in memory, with the last few others, for the same light and
         settings
@@ -98,8 +95,8 @@ def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = Fal
 
 
 def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
-    """Return a key for all that a chain depends on, or None for light that takes long to read, and
-    angles that a file has.
+    """Return a key for all that a chain depends on, or None for large light and for chief ray
+    angles from a file.
     """
     samples = irradiance.data if irradiance.factors is None else irradiance.factors[1]
     if samples.nbytes > _MAX_DIGESTED_BYTES or imaging.camera.chief_ray_angle is not None:
@@ -117,12 +114,19 @@ def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
         charge,
     ]
     return content_hash(
-        [irradiance.digest(), records, *pixel, imaging.border_um, imaging.single, imaging.full]
+        [
+            irradiance.digest(),
+            records,
+            *pixel,
+            imaging.border_um,
+            imaging.in_float32,
+            imaging.without_shortcuts,
+        ]
     )
 
 
 def _add_recent(key: str, chain: ImagingChain, beyond_white: float) -> None:
-    """Add a chain as the last one, and drop the first ones if they are too many or too large."""
+    """Add a chain, and drop the oldest ones if there are too many or they are too large."""
     _recent_chains[key] = chain, beyond_white
     sizes = [
         other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes
@@ -225,7 +229,7 @@ def evaluate(
         develop=develop,
         motion=motion,
         metrics=MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS),
-    ).changed(full=full)
+    ).changed(without_shortcuts=full)
     chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
     warn_of_settings(imaging, irradiance)
     undefined: dict[str, str] = {}

@@ -1,5 +1,5 @@
-"""The mean light on every pixel as each channel would see it there: what pixels record without a
-mosaic.
+"""The mean electrons of every pixel in each channel, as a sensor without a mosaic would record
+them.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ def at_every_pixel(
     *,
     shares: bool = True,
 ) -> Array:
-    """Return the mean light on every pixel, (rows, columns), as one channel would see it
-    everywhere, without shading.
+    """Return the mean rate of one channel at every pixel, (rows, columns), without shading.
 
     moving : how it moves over the pixels
     shares : whether pixels around collect light of each other

@@ -1,4 +1,4 @@
-"""One frame as metrics see it, and the numbers that they have for it."""
+"""One frame under test, and the values of its metrics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pixsim.viewer.score import FrameScore, Score, frame_statistics
 
 @dataclass(frozen=True)
 class FrameUnderTest:
-    """A frame that metrics judge.
+    """A frame that metrics are computed of.
 
     development : how the frame becomes a picture
     registrations : yields the expected frames of this pixel size, this frame first, at so
@@ -66,7 +66,7 @@ class FrameUnderTest:
 
     @cached_property
     def expected(self) -> ExpectedFrame:
-        """What is expected of the frame."""
+        """Expectation of the frame, without noise."""
         return next(self.registrations(1))
 
     @cached_property

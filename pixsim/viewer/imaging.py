@@ -1,4 +1,4 @@
-"""All settings between the light on a sensor and a score, in one record: what every function of
+"""All settings between the light on a sensor and a score, in one record that every function of
 `viewer` takes.
 
 The way of one frame, each step in the module of its name:
@@ -49,9 +49,10 @@ class Imaging:
     technology : of the pixel, with all its numbers
     border_um : width on each side of the die that is not scored, of all that is scored on the same
         dots. None: as wide as this pixel alone needs
-    single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not
-        with `full`
-    full : use no shortcut for grey images, and leave out nothing of the pixels' stack
+    in_float32 : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not
+        with `without_shortcuts`
+    without_shortcuts : compute grey images as colour images, and leave out nothing of the pixels'
+        stack
     is_run : whether repeats are the sensors of a run: the first one is centred, and its random
         streams have no number
     """
@@ -66,8 +67,8 @@ class Imaging:
     motion: Motion = NO_MOTION
     metrics: MetricRequest = DELTA_E_ONLY
     border_um: float | None = None
-    single: bool = False
-    full: bool = False
+    in_float32: bool = False
+    without_shortcuts: bool = False
     is_run: bool = False
 
     @classmethod
@@ -141,28 +142,26 @@ class Imaging:
 
     @property
     def pixel_key(self) -> tuple[str, ...]:
-        """What tells the pixels from others in the same light, wherever the array lies."""
+        """Key of all that the pixels depend on but their registration."""
         pixel = self.pixel.model_copy(update={"registration": None})
         return pixel.content_hash, content_hash(self.physics.technology.content)
 
     def changed(self, **settings: Any) -> Imaging:
-        """Return the same with other settings; the pixel is not derived again where none of them
-        changes it.
-        """
+        """Return a copy with other settings; the pixel is derived again only if they change it."""
         other = replace(self, **settings)
         if "physics" in self.__dict__ and not settings.keys() & set(_PHYSICS_FIELDS):
             other.__dict__["physics"] = self.physics
         return other
 
     def at(self, pitch_um: float) -> Imaging:
-        """Return the same with pixels of another size."""
+        """Return a copy with pixels of another pitch."""
         if pitch_um == self.pixel.pitch_um:
             return self
         return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
 
     def registered(self, repeat: int, array_um: tuple[float, float] | None = None) -> Imaging:
-        """Return the pixels of one repeat, with its registration. Where dots are pixels, all arrays
-        are centred.
+        """Return a copy with the registration of one repeat. Where dots are pixels, all arrays are
+        centred.
 
         The first repeat of a run is centred: its registration is 0 along an axis with an even
         number of pixels, and 0.5 with an odd one. The further repeats are spread from there, as the
@@ -180,14 +179,14 @@ class Imaging:
         return self._with_physics(self.physics.registered(repeat, first=first))
 
     def spread(self, number: int) -> Imaging:
-        """Return the same pixels at a registration of the spread ones (`PixelPhysics.registered`),
-        whatever theirs is.
+        """Return a copy at a numbered registration (`PixelPhysics.registered`), as for pixels
+        without a stated one.
         """
         centred = replace(self.physics, pixel=self.pixel.model_copy(update={"registration": None}))
         return self._with_physics(centred.registered(number))
 
     def _with_physics(self, physics: PixelPhysics) -> Imaging:
-        """Return the same with derived pixels, of which only the place on the die differs."""
+        """Return a copy with derived pixels that differ in their registration only."""
         if physics is self.physics:
             return self
         other = replace(self, pixel=physics.pixel)

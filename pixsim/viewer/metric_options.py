@@ -1,4 +1,4 @@
-"""What judges a picture, and the numbers that the judges need."""
+"""Settings of the metrics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*=[^,=]+(,\s*[A-Za-z_]\w*\s*=[^,=]+)*")
 
 
 def _as_table(value: object) -> object:
-    """Take the text name=value,… of a command line as the table that it stands for."""
+    """Convert the text name=value,… of a command line to a table."""
     if not (isinstance(value, str) and PAIRS.fullmatch(value)):
         return value
     return {
@@ -82,8 +82,8 @@ class Information(Record):
 
     @property
     def other_contrasts(self) -> tuple[float, float] | None:
-        """A third of the contrast, and three times it but at most 1, or itself if it is more, or
-        None for a scene's own spectrum.
+        """A third of the contrast, and three times the contrast, limited to 1 but not below the
+        contrast; None for the spectrum of the scene.
         """
         if self.spectrum == "scene":
             return None

@@ -101,7 +101,8 @@ def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
 
 
 def metric_names(metrics: Sequence[_NameOrFunction]) -> tuple[str, ...]:
-    """Return the names of metrics for settings, and keep the functions among them for this process.
+    """Return the names of metrics for settings, and register the functions among them in this
+    process.
 
     metrics : as in `metrics_named`
     """

@@ -1,6 +1,4 @@
-"""Metrics: what judges a picture, each in one record; the columns of results and their bounds
-follow from it.
-"""
+"""Metrics, each in one record, from which the columns of results and their bounds follow."""
 
 from __future__ import annotations
 
@@ -33,8 +31,8 @@ _FRAME_REQUIREMENT = (
 
 
 class NoNumberError(PixsimError):
-    """A metric has no number for a pixel that is possible otherwise: a study goes on with the
-    others.
+    """A metric is undefined for a pixel that is otherwise valid: a study continues with the other
+    metrics.
     """
 
 
@@ -44,28 +42,28 @@ def _requires_nothing(context: MetricContext) -> str:
 
 @dataclass(frozen=True)
 class Metric:
-    """What judges a picture, by one or several numbers.
+    """A metric of a frame or a picture, of one or several numbers.
 
-    name : of the metric, as settings and commands have it
-    title : for people
+    name : of the metric in settings and commands
+    title : for figures and pages
     unit : of its numbers; empty for a number without one
     better : whether less or more of it is better
-    judges : the picture that it is of
-    source : where it is defined
-    unseen : what it does not see
+    judges : the picture that it is computed of
+    source : its definition in the literature
+    unseen : properties of a picture that it ignores
     columns : names of its numbers, in results and in this order; the first one is what a study
         optimises
     bounds : least and largest value that a number may have
     compute : numbers of a frame under test (`FrameUnderTest`), or of a `Score` where `needs_frame`
         is false, as `columns`
-    lacks : what a configuration would need for the metric to mean something; empty if it has all
-    has_optimum : whether a best pixel size may be told from it
-    needs_light : whether it asks for the light of the scene beside the picture, as
-        `FrameUnderTest.expected` has it
-    needs_frame : whether it asks for the frame and the sensor behind the picture
+    requirement : returns what the metric requires and a configuration lacks; empty if nothing
+    has_optimum : whether it has a best pixel size
+    needs_light : whether it needs the light of the scene beside the picture
+        (`FrameUnderTest.expected`)
+    needs_frame : whether it needs the frame and the sensor behind the picture
     worst : columns of which the least value of all frames counts, not their mean
-    variants : columns of the same number under other assumptions, each of which tells a best size;
-        NaN where they mean nothing
+    variants : columns of the same number under other assumptions, each with its best size; NaN
+        where they are undefined
     code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
@@ -89,7 +87,7 @@ class Metric:
 
     @property
     def words(self) -> str:
-        """The title without what follows a comma, for sentences."""
+        """The title up to its first comma, for sentences."""
         return self.title.partition(",")[0]
 
     @property
@@ -99,7 +97,7 @@ class Metric:
 
     @property
     def is_delta_e(self) -> bool:
-        """Whether it is ΔE, by the name: a worker has a copy of it."""
+        """Whether it is ΔE, by its name, since a worker has a copy of the record."""
         return self.name == DELTA_E.name
 
     @property
@@ -108,14 +106,12 @@ class Metric:
         return f"{'least' if self.better == 'less' else 'greatest'} {self.words}"
 
     def worse_by(self, difference: Array | float) -> Array:
-        """Return by how much a difference from another value is for the worse, in the metric's
-        unit, (...).
-        """
+        """Return a difference from another value, (...), above 0 where the metric is worse."""
         return np.asarray(difference if self.better == "less" else np.negative(difference))
 
     def loss(self, values: Array) -> Array:
-        """Return numbers that are least at the best size, (...): values where less is better, else
-        reciprocals; NaN of 0 or less.
+        """Return values to minimise, (...): the values if less is better, else their reciprocals;
+        NaN for 0 or less.
         """
         if self.better == "less":
             return values
@@ -126,21 +122,17 @@ class Metric:
         return loss if self.better == "less" else 1 / loss
 
     def digest(self) -> str:
-        """Return what tells the metric from others, in a report's key; the code is pixsim's, or
-        hashed.
-        """
+        """Return the metric's part of a report's key: name, columns and hash of a user's code."""
         return f"{self.name} {self.columns} {self.code}"
 
     def missing(self, context: MetricContext) -> str:
-        """Return what a configuration would need for the metric to mean something; empty if it has
-        all.
-        """
+        """Return what the metric requires and a configuration lacks; empty if nothing."""
         if self.needs_frame and not context.has_frame:
             return _FRAME_REQUIREMENT
         return self.requirement(context)
 
     def may_lack(self, column: str, value: float) -> bool:
-        """Return whether a column's value is the NaN of a variant that means nothing."""
+        """Return whether a column's value is the NaN of an undefined variant."""
         return column in self.variants and math.isnan(value)
 
     def values(self, under_test: Any) -> dict[str, float]:
@@ -162,7 +154,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class MetricContext:
-    """What decides whether a metric means something, as far as settings tell.
+    """Properties of a configuration that decide whether a metric is defined.
 
     is_colour : whether the pixel has colour filters
     has_background : whether there is light of the scene without its target
@@ -301,8 +293,8 @@ class MetricRequest:
 
     @property
     def content(self) -> tuple[object, ...]:
-        """What the numbers depend on: the settings of those metrics that have some, and the code of
-        the user's functions.
+        """Settings of the metrics and the code of the user's functions, on which the numbers
+        depend.
         """
         options = {metric.name: getattr(self.options, metric.name, None) for metric in self.chosen}
         tables = {
@@ -316,7 +308,7 @@ class MetricRequest:
         )
 
     def check(self, context: MetricContext) -> None:
-        """Raise PixsimError for a metric that means nothing in a configuration."""
+        """Raise PixsimError for a metric that a configuration does not define."""
         for metric in self.chosen:
             if requirement := metric.missing(context):
                 others = ", ".join(

@@ -1,5 +1,4 @@
-"""What a frame's noise and its mean ΔE are made of, cause by cause: each is switched off in turn,
-and stays off.
+"""Noise and mean ΔE of a frame by cause: each cause is switched off in turn, and stays off.
 
 Light that flickers first, which is steady for all else. Then noise, from the codes back to the
 light: rounding by the ADC, each source of `pixsim.sensor.noise` from the last to the first, shot
@@ -122,7 +121,9 @@ class NoiseBudget:
         return NOISE if cause in self.electrons_e or cause in (FLICKER, REDUCTION) else BLUR
 
     def rows(self) -> Iterator[tuple[str, float | None, float]]:
-        """Yield each cause with its electrons, None for blur and colour, and its ΔE."""
+        """Yield each cause with its standard deviation in electrons, None for blur and colour, and
+        its ΔE.
+        """
         for cause, delta_e in self.delta_e.items():
             yield cause, self.electrons_e.get(cause), delta_e
 
@@ -145,7 +146,7 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
     noise_e = charge_e - frame.mean_dark_e - frame.mean_e
     noiseless = noiseless_frame(chain, time_s)
 
-    # What each cause takes off the ΔE that the causes before it have left.
+    # The reduction of ΔE by each cause, after the causes before it.
     mean_delta_e = chain.development.score(frame).mean_delta_e
     steps = [
         *_noise_steps(chain, noiseless, variances_e2, key),
@@ -153,10 +154,10 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
         *_blur_steps(chain, irradiance, noiseless),
     ]
     delta_e = {}
-    left_delta_e = mean_delta_e
+    remaining_delta_e = mean_delta_e
     for cause, without_delta_e in steps:
-        delta_e[cause] = left_delta_e - without_delta_e
-        left_delta_e = without_delta_e
+        delta_e[cause] = remaining_delta_e - without_delta_e
+        remaining_delta_e = without_delta_e
 
     mean_e = float(np.sqrt(np.mean(np.square(frame.mean_e))))
     return NoiseBudget(
@@ -166,7 +167,7 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
         render_e=_render_noise_of(irradiance) * mean_e,
         mean_delta_e=mean_delta_e,
         delta_e=delta_e,
-        remainder_delta_e=left_delta_e,
+        remainder_delta_e=remaining_delta_e,
     )
 
 
@@ -271,7 +272,7 @@ def _delta_e_of_planes(
 def _delta_e_of_dots(dots: Array, chain: ImagingChain) -> float:
     """Return the mean ΔE of the light of the display's dots, (H, W) or (3, H, W), 1 for white."""
     image = display_image(chain.development.toned(dots), chain.screen.display)
-    return float(chain.screen.delta_e_of(image).mean())
+    return float(chain.screen.delta_e_map(image).mean())
 
 
 def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
@@ -282,10 +283,12 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     scene = chain.scene
     physics = imaging.physics
     assert scene is not None
-    if scene.rendition is None:
+    if scene.colour_chart is None:
         return
     whites = scene.whites_e_per_s(physics)
-    unmixed = replace(chain, collection=None, rendition=scene.rendition, whites_e_per_s=whites)
+    unmixed = replace(
+        chain, collection=None, colour_chart=scene.colour_chart, whites_e_per_s=whites
+    )
 
     # Each channel at every pixel, by its own filter alone.
     pixels = centred_pixels(scene.array_um, physics)
@@ -325,7 +328,10 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
         at_every_pixel(rate, scene, physics, collection, chain.image_motion) / white
         for rate in rates
     ]
-    yield COLOUR_ERROR, _delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
+    yield (
+        COLOUR_ERROR,
+        _delta_e_of_planes(observed, scene.colour_chart.to_display, unmixed, noiseless),
+    )
 
 
 def observer_weights(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
@@ -348,7 +354,7 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     physics = chain.imaging.physics
     assert scene is not None
     weights, white = observer_weights(chain.development.imaging, irradiance)
-    matrix = None if scene.rendition is None else scene.rendition.to_display
+    matrix = None if scene.colour_chart is None else scene.colour_chart.to_display
     diffusion = diffusion_of(physics)
     pixels = centred_pixels(scene.array_um, physics)
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
@@ -363,7 +369,7 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
         return _delta_e_of_planes(planes, matrix, chain, noiseless)
 
     # Shading, motion and veil, of the light behind the lens.
-    if scene.rendition is None and collection is not None:
+    if scene.colour_chart is None and collection is not None:
         rates = diffracted(irradiance, camera, weights, diffusion)
         yield _SHADING, delta_e_of_pixels(rates, image_motion=chain.image_motion)
     if chain.image_motion.is_on:

@@ -1,4 +1,4 @@
-"""Scores of pictures that were processed or made elsewhere."""
+"""Scores of pictures from other programs."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ def score_pictures(
         ideal=ideal,
         ideal_lab=perceived_lab(ideal, display),
     )
-    score = Score(screen.delta_e_of(image), ideal, image, display)
+    score = Score(screen.delta_e_map(image), ideal, image, display)
     return with_numbers(score, request.chosen, score)
 
 
 def _check_picture(name: str, picture: Array) -> None:
-    """Raise PixsimError for a picture of another shape than light of dots has, or of codes."""
+    """Raise PixsimError for a picture of another shape, or of codes in place of light."""
     if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
         allowed = "(H, W), or (H, W, 3) of the display's primaries, not empty"
         raise invalid(name, f"an array of shape {picture.shape}", allowed)

@@ -1,6 +1,4 @@
-"""What a user should know of settings and their light before a score is believed: the notes of one
-review.
-"""
+"""Review of settings and their light: notes on inputs that make a score doubtful."""
 
 from __future__ import annotations
 
@@ -29,8 +27,8 @@ def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
 
 
 def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | None]]]) -> None:
-    """Warn of the review of several sensors: of a note of all of them once, of other notes with the
-    sensor's name.
+    """Warn of each note of the review of several sensors, with the names of the sensors unless all
+    have it.
 
     sensors : name -> the settings of each of its cases, with their light
     """
@@ -49,7 +47,7 @@ def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | No
 
 
 def _camera_notes(camera: Camera, irradiance: SpectralImage) -> list[Note]:
-    """Return a note if light was rendered with another camera than the one that is given."""
+    """Return a note if light was rendered with another camera."""
     stated = irradiance.header.get("camera")
     if stated is None:
         return []

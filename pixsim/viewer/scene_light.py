@@ -1,5 +1,5 @@
-"""The light behind the lens, which the pixels of one response share, with the screens that show its
-frames; and its caches.
+"""The light behind the lens, which pixels of one spectral response share, with the screens for its
+frames, and caches of both.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pixsim.sensor.integration import ChannelLight, array_size_um, electrons_per
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer import display as displays
 from pixsim.viewer.causes import lightness_range
-from pixsim.viewer.develop import Rendition
+from pixsim.viewer.develop import ColourChart
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_kernels.information_density import radial_spectrum
@@ -32,9 +32,9 @@ from pixsim.viewer.screen import (
     ROUNDING,
     IdealFacts,
     Screen,
+    colour_chart_of,
     ideal_facts,
     make_screen,
-    screen_rendition,
 )
 
 T = TypeVar("T")
@@ -47,7 +47,7 @@ _RECENT = (
 
 @dataclass(frozen=True)
 class SceneLight:
-    """What light a sensor is given.
+    """The light on a sensor, with and without a target.
 
     irradiance : on the sensor plane, before diffraction
     background : irradiance of the scene without its target, on the same samples, or None where no
@@ -83,7 +83,7 @@ def check_background(background: SpectralImage, irradiance: SpectralImage) -> No
 
 @dataclass(frozen=True)
 class LightFacts:
-    """What metrics know of the light of a scene beside the picture.
+    """Light of a scene for metrics that need more than the picture.
 
     mean : of all samples, a picture of 1 × 1 with the header of the whole one
     picture : behind the lens, as the first channel sees it, (H, W)
@@ -99,8 +99,8 @@ class LightFacts:
     )
 
     def cached(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return what the frames of a pixel share, from before or computed; the oldest goes where
-        there are too many.
+        """Return a value that the frames of a pixel share, computed once; the oldest is dropped
+        where there are too many.
         """
         if key not in self._cached:
             while len(self._cached) >= _CACHED_TABLES:
@@ -111,7 +111,7 @@ class LightFacts:
 
     @classmethod
     def of(cls, imaging: Imaging, light: SceneLight, picture: Array) -> LightFacts:
-        """Return the facts of a light.
+        """Return the record of a light.
 
         picture : as in the field
         """
@@ -149,7 +149,7 @@ class PreparedScene:
     screens : one for each display that shows the frames
     array_um : (height, width) that the pixels fill
     beyond_white : fraction of the ideal image's dots that are brighter than display white
-    rendition : what the channels see of a chart, or None for a monochrome sensor
+    colour_chart : what the channels respond to its patches, or None for a monochrome sensor
     metering_light : light of each channel without samples that stand alone far above all others,
         which sets the automatic exposure. None: all light does
     facts : of the light, for metrics, or None if none asks
@@ -161,7 +161,7 @@ class PreparedScene:
     screens: tuple[Screen, ...]
     array_um: tuple[float, float]
     beyond_white: float = 0.0
-    rendition: Rendition | None = None
+    colour_chart: ColourChart | None = None
     metering_light: tuple[ChannelLight, ...] | None = None
     facts: LightFacts | None = None
     _collections: list[ColourCollection] = field(
@@ -215,7 +215,7 @@ class PreparedScene:
         return self._collections[-1]
 
     def store_integrals(self) -> None:
-        """Compute what all pitches share, for workers that would each compute it."""
+        """Compute the running integrals that all pitches share, before workers need them."""
         lights = list(self.lights)
         if self.facts is not None and self.facts.background is not None:
             lights += self.facts.background
@@ -223,13 +223,13 @@ class PreparedScene:
             light.running_integral  # noqa: B018 – it stays in the light
 
 
-# What the pitches of a technology share; where dots are pixels, that is not prepared.
+# Light that the pitches of a technology share; where dots are pixels, it is not prepared.
 SharedLight = PreparedScene | SceneLight
 
 
 def registered_in(imaging: Imaging, light: SharedLight, repeat: int) -> Imaging:
-    """Return the pixels of one repeat in the light that all repeats share, with its registration
-    (`Imaging.registered`).
+    """Return settings with the registration of one repeat (`Imaging.registered`) in the light that
+    all repeats share.
     """
     return imaging.registered(repeat, light.array_um if isinstance(light, PreparedScene) else None)
 
@@ -255,21 +255,21 @@ def prepare_scene(
     irradiance = light.irradiance
     camera = imaging.camera
     physics = imaging.physics
-    rendition = screen_rendition(imaging, irradiance)
+    colour_chart = colour_chart_of(imaging, irradiance)
 
     # Displays that differ in their viewer alone share the ideal picture.
-    screen, beyond_white = make_screen(imaging, irradiance, rendition)
+    screen, beyond_white = make_screen(imaging, irradiance, colour_chart)
     screen_by_dots = {imaging.display.dots: screen}
     screens = [screen]
     for display in others:
         if display.dots not in screen_by_dots:
             other = imaging.changed(display=display)
-            screen_by_dots[display.dots], _ = make_screen(other, irradiance, rendition)
+            screen_by_dots[display.dots], _ = make_screen(other, irradiance, colour_chart)
         screens.append(screen_by_dots[display.dots].seen_at(display.samples_per_deg))
 
     if lights is None:
         lights = lights_of(irradiance, camera, physics)
-    if imaging.full:  # nothing of the pixels' stack is left out
+    if imaging.without_shortcuts:  # nothing of the pixels' stack is left out
         lights = tuple(
             replace(channel, illumination=replace(channel.illumination, tolerance=0.0))
             for channel in lights
@@ -288,7 +288,7 @@ def prepare_scene(
         tuple(screens),
         array_size_um(irradiance, camera),
         beyond_white,
-        rendition,
+        colour_chart,
         metering_light=None if metering is None else lights_of(metering, camera, physics),
         facts=facts,
     )
@@ -344,9 +344,7 @@ class SceneCache:
         return self._scenes[key]
 
     def ideal_facts(self, key: object, imaging: Imaging) -> IdealFacts:
-        """Return facts of the ideal picture, for the key of `get`; where dots are pixels, of these
-        pixels.
-        """
+        """Return the `IdealFacts` for the key of `get`; where dots are pixels, of these pixels."""
         if key in self._facts and self.display.raster != "one_to_one":
             return self._facts[key]
         return ideal_facts(imaging, self.irradiance)
@@ -374,16 +372,14 @@ class SceneCache:
 
 
 class RecentScenes:
-    """Called as `prepare_scene`, it returns the same; the last few scenes and lights behind the
-    lens stay in memory.
-    """
+    """`prepare_scene` with a cache of the last few scenes and lights behind the lens."""
 
     def __init__(self) -> None:
         self._lights: dict[Hashable, tuple[SpectralImage, tuple[ChannelLight, ...]]] = {}
         self._scenes: dict[Hashable, tuple[SpectralImage, PreparedScene]] = {}
 
     def __call__(self, imaging: Imaging, light: SceneLight) -> PreparedScene:
-        """Return the prepared scene, from before where nothing differs that it depends on."""
+        """Return the prepared scene, from the cache if nothing differs that it depends on."""
         irradiance = light.irradiance
         pixel = imaging.pixel
         physics = imaging.physics
@@ -405,8 +401,8 @@ class RecentScenes:
         screen = (
             imaging.display.content_hash,
             imaging.develop.content_hash,
-            imaging.full,
-            imaging.single,
+            imaging.without_shortcuts,
+            imaging.in_float32,
             tuple(irradiance.header.get(name) for name in HEADER_OF_WHITE.values()),
         )
         key = light_key, geometry, screen, imaging.metrics.needs_light, id(light.background)
@@ -420,7 +416,7 @@ class RecentScenes:
         return self._scenes[key][1]
 
     def drop_all_but(self, images: list[SpectralImage]) -> None:
-        """Forget what was made from other light than these images."""
+        """Drop scenes and lights that were made from other images than these."""
         for recent in (self._lights, self._scenes):
             for key, (image, _) in list(recent.items()):
                 if not any(image is other for other in images):
@@ -428,7 +424,7 @@ class RecentScenes:
 
 
 def _add_recent(recent: dict[Hashable, T], key: Hashable, value: T) -> None:
-    """Add an entry as the last one; the first goes if there are too many."""
+    """Add an entry, and drop the oldest if there are too many."""
     while len(recent) >= _RECENT:
         del recent[next(iter(recent))]
     recent[key] = value

@@ -21,7 +21,7 @@ from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.integration import array_size_um
 from pixsim.viewer import display as displays
 from pixsim.viewer.causes import lightness_range
-from pixsim.viewer.develop import Rendition, ideal_rgb, rendition_of
+from pixsim.viewer.develop import ColourChart, ideal_rgb, measure_colour_chart
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import (
@@ -49,7 +49,7 @@ _UNITS_OF_WHITE = {"white_w_per_m2_sr": "W m⁻² sr⁻¹", "white_cd_per_m2": "
 HEADER_OF_WHITE = {"white_w_per_m2_sr": WHITE_RADIANCE, "white_cd_per_m2": "luminance_cd_per_m2"}
 
 
-def allows_single(tolerance_delta_e: float | None) -> bool:
+def allows_float32(tolerance_delta_e: float | None) -> bool:
     """Return whether a study may compute dots and S-CIELAB in float32, whose error of a mean ΔE is
     below `SINGLE_DELTA_E`.
     """
@@ -57,19 +57,19 @@ def allows_single(tolerance_delta_e: float | None) -> bool:
 
 
 def perceived_lab(
-    image: Array, display: Display, full: bool = False, single: bool = False
+    image: Array, display: Display, without_shortcuts: bool = False, in_float32: bool = False
 ) -> Array:
-    """Return the CIELAB of a shown image after the eye's blur, (H, W, 3); `full` computes a grey
-    one as a colour image.
+    """Return the CIELAB of a displayed image after the eye's blur, (H, W, 3).
 
     image : (H, W) luminance, or (H, W, 3) light of the display's primaries
-    single : compute in float32
+    without_shortcuts : compute a grey image as a colour image
+    in_float32 : compute in float32
     """
-    view = _viewing_conditions(display) | {"single": single}
+    view = _viewing_conditions(display) | {"single": in_float32}
     if image.ndim == 3:
-        rgb: Array = np.asarray(image, np.float32) if single else image
+        rgb: Array = np.asarray(image, np.float32) if in_float32 else image
         return filtered_lab(displays.rgb_to_xyz(rgb), **view)
-    if full:
+    if without_shortcuts:
         return filtered_lab(displays.to_xyz(image), **view)
     return filtered_grey_lab(image, **view)
 
@@ -91,8 +91,8 @@ class Screen:
     dot_edges_um : of the rows and columns of dots that are shown and scored
     ideal, ideal_lab : shown light on those dots, (H, W) or (H, W, 3), and its CIELAB after the
         eye's blur
-    full : use no shortcut for grey images
-    single : compute the dots of frames and S-CIELAB in float32
+    without_shortcuts : compute grey images as colour images
+    in_float32 : compute the dots of frames and S-CIELAB in float32
     ideal_out_of_gamut : share of the dots whose colour the display cannot show
     """
 
@@ -101,8 +101,8 @@ class Screen:
     dot_edges_um: tuple[Array, Array] = field(repr=False)
     ideal: Array = field(repr=False)
     ideal_lab: Array = field(repr=False)
-    full: bool = False
-    single: bool = False
+    without_shortcuts: bool = False
+    in_float32: bool = False
     ideal_out_of_gamut: float = 0.0
 
     @property
@@ -111,25 +111,25 @@ class Screen:
         return self.size_um[1] / self.display.dots if self.display.raster == "fixed_size" else None
 
     def seen_at(self, samples_per_deg: float) -> Screen:
-        """Return the same dots, as seen from where so many of them make a degree."""
+        """Return the same screen at another viewing distance."""
         if samples_per_deg == self.display.samples_per_deg:
             return self
         display = self.display.model_copy(update={"samples_per_deg": samples_per_deg})
         return replace(
             self,
             display=display,
-            ideal_lab=perceived_lab(self.ideal, display, self.full, self.single),
+            ideal_lab=perceived_lab(self.ideal, display, self.without_shortcuts, self.in_float32),
         )
 
-    def delta_e_of(self, image: Array) -> Array:
+    def delta_e_map(self, image: Array) -> Array:
         """Return the S-CIELAB difference between a shown picture and the ideal one, (H, W)."""
-        if self.display.delta_e != "1976" or self.full:
-            lab = perceived_lab(image, self.display, self.full, self.single)
+        if self.display.delta_e != "1976" or self.without_shortcuts:
+            lab = perceived_lab(image, self.display, self.without_shortcuts, self.in_float32)
             return delta_e(self.ideal_lab, lab, self.display.delta_e)
-        view = _viewing_conditions(self.display) | {"single": self.single}
+        view = _viewing_conditions(self.display) | {"single": self.in_float32}
         if image.ndim == 2:
             return grey_delta_e_map(self.ideal_lab, image, **view)
-        rgb: Array = np.asarray(image, np.float32) if self.single else image
+        rgb: Array = np.asarray(image, np.float32) if self.in_float32 else image
         return colour_delta_e_map(self.ideal_lab, displays.rgb_to_xyz(rgb), **view)
 
 
@@ -144,25 +144,25 @@ def display_image(light: Array, display: Display, *, in_place: bool = False) -> 
     return codes if codes.ndim == 2 else np.moveaxis(codes, 0, -1)
 
 
-def screen_rendition(imaging: Imaging, irradiance: SpectralImage) -> Rendition | None:
-    """Return what the channels of a colour sensor see of a chart under the scene's lamp; a
-    monochrome sensor has None.
+def colour_chart_of(imaging: Imaging, irradiance: SpectralImage) -> ColourChart | None:
+    """Return the colour chart under the scene's lamp as a colour sensor records it, or None for a
+    monochrome sensor.
     """
     physics = imaging.physics
     if physics.layout is None:
         return None
-    return rendition_of(irradiance, physics.channels, imaging.display)
+    return measure_colour_chart(irradiance, physics.channels, imaging.display)
 
 
 def ideal_on_dots(
-    imaging: Imaging, irradiance: SpectralImage, rendition: Rendition | None = None
+    imaging: Imaging, irradiance: SpectralImage, colour_chart: ColourChart | None = None
 ) -> tuple[tuple[Array, Array], Array]:
-    """Return the edges of the dots (`displays.dot_edges_um`), and what the ideal picture asks of
+    """Return the edges of the dots (`displays.dot_edges_um`), and the light of the ideal picture on
     them before the tone curve.
 
-    That is a luminance, (H, W), or the light of the display's primaries, (3, H, W), 1 for white.
+    The light is a luminance, (H, W), or that of the display's primaries, (3, H, W), 1 for white.
 
-    rendition : of a colour sensor
+    colour_chart : of a colour sensor
     """
     irradiance = ideal_light(irradiance, imaging.camera)
     physics = imaging.physics
@@ -174,36 +174,36 @@ def ideal_on_dots(
         array_size_um(irradiance, imaging.camera),
         physics.registration,
     )
-    if rendition is None:
+    if colour_chart is None:
         return edges_um, displays.ideal_luminance(imaging, irradiance, edges_um)
     return edges_um, ideal_rgb(
-        irradiance, imaging.camera, imaging.display, rendition.to_display, edges_um
+        irradiance, imaging.camera, imaging.display, colour_chart.to_display, edges_um
     )
 
 
 def make_screen(
-    imaging: Imaging, irradiance: SpectralImage, rendition: Rendition | None = None
+    imaging: Imaging, irradiance: SpectralImage, colour_chart: ColourChart | None = None
 ) -> tuple[Screen, float]:
     """Return the screen, and the fraction of the ideal picture's dots that are brighter than
     display white.
 
-    rendition : of a colour sensor
+    colour_chart : of a colour sensor
     """
     display = imaging.display
-    edges_um, light = ideal_on_dots(imaging, irradiance, rendition)
-    gamut = 0.0 if rendition is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+    edges_um, light = ideal_on_dots(imaging, irradiance, colour_chart)
+    gamut = 0.0 if colour_chart is None else displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
     light = toned(light, imaging.develop, display)
     ideal = display_image(light, display)
-    single = imaging.single and not imaging.full
-    lab = perceived_lab(ideal, display, imaging.full, single)
+    in_float32 = imaging.in_float32 and not imaging.without_shortcuts
+    lab = perceived_lab(ideal, display, imaging.without_shortcuts, in_float32)
     screen = Screen(
         display,
         displays.picture_size_um(irradiance),
         edges_um,
         ideal,
         lab,
-        imaging.full,
-        single,
+        imaging.without_shortcuts,
+        in_float32,
         gamut,
     )
     return screen, fraction_beyond_white(light)
@@ -217,7 +217,7 @@ def fraction_beyond_white(light: Array) -> float:
 
 
 class IdealFacts(NamedTuple):
-    """What must be known of an ideal picture.
+    """Brightness of an ideal picture.
 
     beyond_white : fraction of its dots that are brighter than display white
     lightness : L* of its darkest and its lightest dot, as shown (`lightness_range`)
@@ -228,15 +228,15 @@ class IdealFacts(NamedTuple):
 
 
 def ideal_light_of_dots(imaging: Imaging, irradiance: SpectralImage) -> Array:
-    """Return what the ideal picture asks of the dots behind the tone curve, (H, W) or (3, H, W), 1
-    for white.
+    """Return the light of the ideal picture on the dots behind the tone curve, (H, W) or (3, H, W),
+    1 for white.
     """
-    _, light = ideal_on_dots(imaging, irradiance, screen_rendition(imaging, irradiance))
+    _, light = ideal_on_dots(imaging, irradiance, colour_chart_of(imaging, irradiance))
     return toned(light, imaging.develop, imaging.display)
 
 
 def ideal_facts(imaging: Imaging, irradiance: SpectralImage) -> IdealFacts:
-    """Return the facts of an ideal picture that is not at hand."""
+    """Compute an ideal picture, and return its `IdealFacts`."""
     light = ideal_light_of_dots(imaging, irradiance)
     return IdealFacts(
         fraction_beyond_white(light), lightness_range(display_image(light, imaging.display))
@@ -283,7 +283,7 @@ def amount_of_white(imaging: Imaging, irradiance: SpectralImage) -> Array:
     unit = imaging.changed(
         display=imaging.display.model_copy(update={white_field(irradiance): 1.0})
     )
-    return luminance_of(ideal_on_dots(unit, irradiance, screen_rendition(unit, irradiance))[1])
+    return luminance_of(ideal_on_dots(unit, irradiance, colour_chart_of(unit, irradiance))[1])
 
 
 def white_header(views: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any]:
@@ -377,13 +377,16 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
 
 
 def with_white(display: Display, white: Mapping[str, Any]) -> Display:
-    """Return a display with the white of a `white_header`; as it is for an empty one."""
+    """Return a display with the white of a `white_header`, or the display itself for an empty
+    header.
+    """
     stated = {name: white[entry] for name, entry in HEADER_OF_WHITE.items() if entry in white}
     return display.model_copy(update={**stated, "white": None}) if stated else display
 
 
 def _rounded_up(value: float, digits: int) -> float:
-    """Return a positive number rounded up to so many decimal digits, but for errors of rounding.
+    """Return a positive number rounded up to a number of significant digits; excesses up to
+    `ROUNDING` are ignored.
 
     >>> _rounded_up(730.1, 2), _rounded_up(730.0000001, 2), _rounded_up(9.96e-5, 2)
     (740.0, 730.0, 0.0001)
@@ -395,19 +398,19 @@ def _rounded_up(value: float, digits: int) -> float:
 
 
 def warn_of_clipping(beyond_white: float, header: Mapping[str, Any], display: Display) -> None:
-    """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the
-    caller of the caller.
-    """
+    """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`."""
     if beyond_white > CLIPPED_WARNING:
         higher = displays.setting_of_white(header, display)
         warn(Note("white_clipped", share=percent(beyond_white), hint=f"raise {higher}"))
 
 
 class LightLevel(NamedTuple):
-    """What is shown as display white, its unit, source and spectrum, and the shortest and longest
-    exposure time.
+    """The scene's white that is shown as display white, and the range of exposure times.
 
-    It is a luminance, or the radiance of light without one.
+    white : luminance, or the radiance of light without luminance
+    unit : of `white`
+    white_from : source of its value
+    white_spectrum : name of its spectrum
     """
 
     white: float
@@ -447,7 +450,7 @@ class LightLevel(NamedTuple):
 
     @property
     def exposure(self) -> str:
-        """Exposure time or its range, as text."""
+        """Text of the exposure time, or of its range."""
         return span(exposure_time(self.shortest_s), exposure_time(self.longest_s))
 
     def __str__(self) -> str:

@@ -99,7 +99,7 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     time_s = under_test.frame.integration_s
     correction = imaging.correction
     if imaging.develop.denoise == "wiener_bound":
-        got = "develop.denoise = 'wiener_bound', which knows that its patch is even"
+        got = "develop.denoise = 'wiener_bound', which knows that the patch is uniform"
         allowed = "noise reduction that does not know the picture"
         hint = "Take 'nlm' or 'wavelet'."
         raise NoNumberError(str(invalid("the metric visual_noise", got, allowed, hint)))
@@ -156,13 +156,11 @@ def _npwe(under_test: FrameUnderTest) -> tuple[float, float]:
     develop = under_test.imaging.develop
     if develop.denoises:
         got = (
-            f"develop.denoise = '{develop.denoiser}', which does other things to a frame than to"
-            " its mean"
+            f"develop.denoise = '{develop.denoiser}', whose effect on a frame differs from its"
+            " effect on the mean"
         )
         hint = "Take ΔE, or detectability."
-        raise NoNumberError(
-            str(invalid("the metric npwe", got, "development that is linear", hint))
-        )
+        raise NoNumberError(str(invalid("the metric npwe", got, "linear development", hint)))
     count = under_test.options.detectability.registrations
     tone_factor = 1.0
     values = []

@@ -41,8 +41,8 @@ def _srgb_value(light: Numbers) -> Array:
 
 
 def reinhard(luminance: Numbers, white: Positive) -> Array:
-    """Return the shown luminance L(1 + L/w²)/(1 + L), (...) as the luminance L: 1 at w. What is
-    below 0 stays as it is.
+    """Return the displayed luminance L(1 + L/w²)/(1 + L), (...) as the luminance L: 1 at w. Values
+    below 0 are unchanged.
 
     Reinhard et al. (2002), equation 4.
 
@@ -69,8 +69,8 @@ def luminance_of(light: Array) -> Array:
 
 
 def toned(light: Array, develop: Develop, display: Display) -> Array:
-    """Return light behind the tone curve, (H, W) or (3, H, W) as it is, in its precision; the light
-    itself without a curve.
+    """Return light behind the tone curve, in the shape (H, W) or (3, H, W) and the precision of the
+    light.
     """
     if not develop.tone:
         return light
@@ -84,6 +84,6 @@ def toned(light: Array, develop: Develop, display: Display) -> Array:
         values = _srgb_value
     else:
         assert not isinstance(curve, str)
-        at, value = np.array(curve).T
-        return np.asarray(np.interp(light, at, value) ** display.gamma, light.dtype)
+        table_light, table_value = np.array(curve).T
+        return np.asarray(np.interp(light, table_light, table_value) ** display.gamma, light.dtype)
     return np.asarray(values(np.clip(light, 0.0, 1.0)) ** display.gamma, light.dtype)

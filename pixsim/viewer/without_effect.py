@@ -1,5 +1,5 @@
-"""Settings that do nothing: one rule for every command, and a table of those settings that the rule
-cannot judge.
+"""Settings without effect: one rule for every command, and a table of those settings that the rule
+does not cover.
 
 A setting does nothing if the mean frame, its closed-form variance, the ideal picture and the
 metrics that were asked for are the same at its default, on one small light in which no pixel is
@@ -114,7 +114,7 @@ _RecordKind = TypeVar("_RecordKind", bound=Record)
 
 
 class Default:
-    """In place of a value, that a setting is left out."""
+    """Stands for the value of a setting that is left out."""
 
 
 def record_with(record: _RecordKind, path: Sequence[str], value: object) -> _RecordKind:
@@ -292,7 +292,7 @@ class _SmallLight:
             display=display,
             motion=motion,
             border_um=imaging.physics.border_um,
-            single=False,
+            in_float32=False,
             is_run=False,
         )
 
@@ -358,7 +358,7 @@ def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
 
 
 class _Trial:
-    """What settings make of the small light, each part computed when it is asked for."""
+    """Results of settings in the small light, each computed on first use."""
 
     def __init__(self, small: _SmallLight, imaging: Imaging, base: _Trial | None = None) -> None:
         self.small = small
@@ -510,7 +510,7 @@ def _differ(values: Array, others: Array, tolerance: Array | float) -> bool:
     return values.shape != others.shape or not bool((np.abs(values - others) <= tolerance).all())
 
 
-# --- what the rule cannot judge
+# --- settings that the rule does not cover
 
 
 @dataclass(frozen=True)
@@ -661,24 +661,24 @@ def _implied_settings(imaging: Imaging, picture: SpectralImage | None) -> set[st
 
 
 class Row(NamedTuple):
-    """Settings or tables, none for all of them, and whether one does something in a command. None
-    leaves it to the rule.
+    """A rule for settings that the trial does not cover.
+
+    settings : their names, or names of tables; empty for all settings
+    acts : returns whether a setting has an effect in a command, or None to leave it to the trial
     """
 
     settings: tuple[str, ...]
     acts: Callable[[UserSettings, str], bool | None]
 
 
-def _moves(case: UserSettings, name: str) -> bool:
-    """Of motion, which also decides which part of a frame is scored, however far the picture
-    moves.
-    """
+def _motion_acts(case: UserSettings, name: str) -> bool:
+    """Motion also decides which part of a frame is scored, however far the picture moves."""
     motion = case.imaging.motion
     return any(motion.velocity_mm_per_s or ()) if name == "motion.distance_m" else motion.is_on
 
 
-def _is_of_lens(case: UserSettings, name: str) -> bool | None:
-    """Of the camera and the lens: what a real lens decides stands in its file."""
+def _lens_decides(case: UserSettings, name: str) -> bool | None:
+    """Settings of a real lens and its camera are reviewed where its file is read."""
     table, field_name, *_ = name.split(".")
     if table == "camera":
         is_of_file = case.imaging.camera.lens is not None
@@ -687,8 +687,10 @@ def _is_of_lens(case: UserSettings, name: str) -> bool | None:
     return is_of_file or None
 
 
-def _costs(case: UserSettings, name: str) -> bool:
-    """Of what a render may cost."""
+def _effort_acts(case: UserSettings, name: str) -> bool:
+    """Settings of the effort act where light is rendered; a tolerance in ΔE replaces the render
+    noise.
+    """
     settings = case.settings
     replaced = (
         name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
@@ -696,8 +698,8 @@ def _costs(case: UserSettings, name: str) -> bool:
     return case.picture is None and not replaced
 
 
-def _is_of_render(case: UserSettings, name: str) -> bool | None:
-    """Of what a render depends on: field, focus, brightness and fall-off."""
+def _render_depends(case: UserSettings, name: str) -> bool | None:
+    """A render depends on field, focus, brightness and fall-off."""
     has_fall_off = (
         name != "camera.chief_ray_angle" or case.imaging.camera.relative_illumination is not None
     )
@@ -717,31 +719,31 @@ ROWS = (
     # The small light is that of a run: other commands have no such frame, or do not take all
     # settings.
     Row((), lambda case, name: case.takes(name)),
-    # It stands behind a thin lens, that of the user's settings.
-    Row(("camera", "lens"), _is_of_lens),
-    # It is not rendered.
-    Row(("tolerance_e", "render_noise", "max_seconds"), _costs),
+    # The small light is seen through a thin lens, that of the user's settings.
+    Row(("camera", "lens"), _lens_decides),
+    # The small light is not rendered.
+    Row(("tolerance_e", "render_noise", "max_seconds"), _effort_acts),
     Row(
         (*(f"camera.{name}" for name in _CAMERA_OF_RENDER), "lens.relative_illumination"),
-        _is_of_render,
+        _render_depends,
     ),
-    # It has one target, which no parameter states.
+    # The small light has one target, which no parameter states.
     Row(
         ("metric.detectability.without",),
         lambda case, _: has_target(case.imaging.metrics.names) and case.settings is not None,
     ),
     Row((SOLVE_FOR,), lambda case, _: DETECTABILITY.name in case.imaging.metrics.names),
-    # It is bright enough for a time below the longest one, and has no room for what moves.
+    # The small light is bright enough for a time below the longest one, and has no room for motion.
     Row(
         ("exposure.max_integration_s",),
         lambda case, _: case.imaging.exposure.integration_s is None or None,
     ),
-    Row(("motion",), _moves),
-    # It has few dots, always as many, and few pixels, perhaps none of them hot.
+    Row(("motion",), _motion_acts),
+    # The small light has a fixed, small number of dots and few pixels, perhaps none of them hot.
     Row(
         ("display.diffuser_reflectance",), lambda case, _: case.imaging.display.white == "diffuser"
     ),
-    # It has a white of its own.
+    # The small light states its own white.
     Row(tuple(f"display.{name}" for name in _NO_WHITE), lambda case, _: True),
     Row(("display.dots",), lambda case, _: case.imaging.display.raster == "fixed_size"),
     Row(("correction.defects",), lambda case, _: True),
@@ -752,8 +754,8 @@ ROWS = (
 
 
 def effect_notes(sensors: Mapping[str, Iterable[UserSettings]]) -> list[Note]:
-    """Return notes that name the settings without effect, and the sensors, unless all of them have
-    it.
+    """Return notes that name the settings without effect, and the sensors, unless it is all
+    sensors.
 
     sensors : name -> the settings of each of its cases; what has an effect in one of them has one
     """
@@ -788,9 +790,7 @@ def _without_effect_in_all(cases: Iterable[UserSettings]) -> list[str]:
 
 
 def warn_of_settings(imaging: Imaging, light: SpectralImage) -> None:
-    """Warn of the settings without effect of a call with records; settings that come again are
-    tried once.
-    """
+    """Warn of the settings without effect of a call with records; equal settings are tried once."""
     tables = [getattr(imaging, table) for table in TABLES if table != "lens"]
     records = [record.model_dump_json() for record in (*tables, imaging.metrics.options)]
     metrics = [(metric.name, metric.code) for metric in imaging.metrics.chosen]

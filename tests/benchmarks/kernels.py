@@ -99,7 +99,7 @@ def targets() -> None:
     for method, target in (("wavelet", 0.5), ("nlm", 4.0)):
         row(f"denoising, {method}, 1024²", target, partial(denoised_plane, raw_e, 9.0, method), 3)
     film, general = chart(1024), bands(1024)
-    asked = imaging(CAMERA, Pixel(pitch_um=5.3), EXPOSURE, DISPLAY, single=True)
+    asked = imaging(CAMERA, Pixel(pitch_um=5.3), EXPOSURE, DISPLAY, in_float32=True)
     physics = asked.physics
     row(
         "diffraction, 31 bands of one spectrum, 1024²",
@@ -154,7 +154,7 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     """Random numbers, transforms and cube roots of one evaluation."""
     p, rng = chain.readout, np.random.default_rng(0)
     mean_e, screen = chain.simulate(0).frame.mean_e, chain.screen
-    dots, number = screen.ideal.shape[:2], np.float32 if screen.single else np.float64
+    dots, number = screen.ideal.shape[:2], np.float32 if screen.in_float32 else np.float64
     first, planes = (
         empty_planes(count, *dots, dtype=number)
         for count in (1 if screen.ideal.ndim == 2 else 3, 3)
@@ -167,7 +167,7 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
             for plane, out in zip(relative[:, rows], work, strict=True):
                 (
                     scielab._single_f(plane, *scielab.CIE_LAB[:2], out)
-                    if screen.single
+                    if screen.in_float32
                     else np.cbrt(plane, out=out)
                 )
 
@@ -200,7 +200,7 @@ def stages(chain: ImagingChain) -> dict[str, Work]:
         "codes of the dots": lambda: display_image(
             scratch, display, in_place=True
         ),  # of any light: their time does not depend on it
-        "S-CIELAB (DCTs, cube roots)": lambda: chain.screen.delta_e_of(score.image),
+        "S-CIELAB (DCTs, cube roots)": lambda: chain.screen.delta_e_map(score.image),
         "statistics": score.statistics,
     }
 
@@ -233,7 +233,9 @@ def parts() -> None:
         "5.3 µm, stack": Pixel(technology="4t-fsi", pitch_um=5.3, stack=LENSED),
     }
     for name, pixel in cases.items():
-        asked = imaging(CAMERA, pixel, EXPOSURE, DISPLAY, border_um=max(PITCHES_UM), single=True)
+        asked = imaging(
+            CAMERA, pixel, EXPOSURE, DISPLAY, border_um=max(PITCHES_UM), in_float32=True
+        )
         light = prepare_scene(asked, SceneLight(film))
         light.store_integrals()
         chain = make_chain(asked, light)
@@ -313,7 +315,7 @@ def motion() -> None:
     film, numbers = chart(1024), itertools.count()
     for pitch_um, frames in product(PITCHES_UM, (1, 8)):
         still = imaging(
-            CAMERA, Pixel(pitch_um=pitch_um), EXPOSURE, DISPLAY, single=True, border_um=100.0
+            CAMERA, Pixel(pitch_um=pitch_um), EXPOSURE, DISPLAY, in_float32=True, border_um=100.0
         )
         room = prepare_scene(still, SceneLight(film))
         room.store_integrals()
@@ -360,7 +362,7 @@ def colour() -> None:
         display = DISPLAY.model_copy(update={"dots": dots})
         seconds = []
         for pixel in (Pixel(**sheet), Pixel(**sheet, colour=COLOUR)):
-            asked = imaging(CAMERA, pixel, EXPOSURE, display, single=True)
+            asked = imaging(CAMERA, pixel, EXPOSURE, display, in_float32=True)
             light = prepare_scene(asked, SceneLight(film))
             light.store_integrals()
             make_chain(asked, light).simulate(0)  # the matrix is fitted once a light

@@ -47,7 +47,9 @@ def prepared(
         pixsim.Display(white_cd_per_m2=1000),
     )
     judging = MetricRequest(metrics_named(names), METRIC_OPTIONS, repeats)
-    asked = imaging(camera, pixel, display=display, metrics=judging, single=True, border_um=20.0)
+    asked = imaging(
+        camera, pixel, display=display, metrics=judging, in_float32=True, border_um=20.0
+    )
     even = np.broadcast_to(
         light.mean_spectrum().astype(np.float32), (*light.shape[:2], light.wavelength_nm.size)
     )

@@ -49,7 +49,7 @@ def run_result(
     noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0))
     rendered: Any = film and SimpleNamespace(film=film, noise=noise)
     light: Any = SimpleNamespace(header=header)
-    chain: Any = SimpleNamespace(rendition=None)
+    chain: Any = SimpleNamespace(colour_chart=None)
     repeats = np.arange(len(delta_e))
     columns = {
         "pitch_um": np.full(repeats.size, pitch_um),

@@ -526,7 +526,7 @@ def test_colour_standard_errors_match_repeats(colour: dict[str, object]) -> None
         made = measure_colour(
             make_experiment(pixel, seed=seed, shape=(40, 40)), Readout.of(derive(pixel)).prnu
         )
-        true = made.truth.rendition
+        true = made.truth.colour_chart
         pairs = [(made.estimate(smi), smi(true))]
         pairs += [
             (made.estimate(gain), gain(true))
@@ -578,7 +578,9 @@ def test_colour_truth_knows_crosstalk() -> None:
         for share in (0.0, 0.08)
     )
     for primary in range(3):
-        assert noise_gain(mixed.rendition, primary) > 1.05 * noise_gain(alone.rendition, primary)
+        assert noise_gain(mixed.colour_chart, primary) > 1.05 * noise_gain(
+            alone.colour_chart, primary
+        )
 
 
 def test_filters_that_tell_no_colours_apart_leave_a_note() -> None:
@@ -636,7 +638,7 @@ def test_colour_of_a_few_noisy_pixels_is_measured_not_refused() -> None:
         stack_frames=4,
     )
     gains = [noise_gain(one, 2) for one in alike.colour.redrawn]
-    assert noise_gain(alike.colour.truth.rendition, 2) < 10 < max(gains)
+    assert noise_gain(alike.colour.truth.colour_chart, 2) < 10 < max(gains)
     assert by_symbol(alike)["G_B"].standard_error == pytest.approx(np.std(gains, ddof=1), rel=1e-9)
 
 

@@ -252,7 +252,7 @@ def test_stack_that_loses_nothing_is_left_out_within_its_bound(
     assert 1e-6 < bound <= tolerance
     assert scale_error(physics, camera_pupil(SLOW), (200.0, 200.0), bound / 2) is None
     image.header["spare_e"] = tolerance
-    found, whole = chain(pixel, image, SLOW), chain(pixel, image, SLOW, full=True)
+    found, whole = chain(pixel, image, SLOW), chain(pixel, image, SLOW, without_shortcuts=True)
     assert found.collection is not None
     assert whole.collection is not None
     assert found.collection.is_scale

@@ -22,7 +22,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.viewer import develop as develop_module
 from pixsim.viewer.chain import ImagingChain
-from pixsim.viewer.develop import Rendition
+from pixsim.viewer.develop import ColourChart
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import STEPS, noise_covariance
 from pixsim.viewer.display import WHITE_XYZ, rgb_to_xyz
@@ -127,7 +127,7 @@ def colour_error(
     """
     chain = imaging_chain(image, CAMERA, pixel, Exposure(), display, develop=develop)
     _, ideal = ideal_on_dots(
-        chain.imaging.changed(border_um=pixel.pitch_um), image, chain.rendition
+        chain.imaging.changed(border_um=pixel.pitch_um), image, chain.colour_chart
     )
     shown = chain.development.light(noiseless(chain))
     scale = 1 / ideal.max()
@@ -243,7 +243,7 @@ def same_primaries(monkeypatch: pytest.MonkeyPatch) -> None:
     """Balanced channels are the light of the display's primaries: channels that are equal say
     nothing of colour.
     """
-    monkeypatch.setattr(Rendition, "matrix", lambda *_: np.eye(3))
+    monkeypatch.setattr(ColourChart, "matrix", lambda *_: np.eye(3))
     monkeypatch.setattr(develop_module, "check_separable", lambda *_: None)
 
 
@@ -546,7 +546,7 @@ def test_noise_aware_matrix_has_the_least_expected_error_in_frames() -> None:
             for method in methods
         ]
         truth = xyz_to_lab(
-            rgb_to_xyz(one.rendition.to_display @ one.rendition.xyz[number]), WHITE_XYZ
+            rgb_to_xyz(one.colour_chart.to_display @ one.colour_chart.xyz[number]), WHITE_XYZ
         )
         for index in range(4):
             frame = one.capture("patch", number, index)

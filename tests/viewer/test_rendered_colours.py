@@ -18,7 +18,7 @@ from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.pixel import derive
 from pixsim.viewer.colour_matrix import colour_errors, fit_matrix, metamerism_index
-from pixsim.viewer.develop import rendition_of, xyz_weights
+from pixsim.viewer.develop import measure_colour_chart, xyz_weights
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
@@ -122,11 +122,11 @@ def test_matrix_and_index_in_the_bands_of_a_picture(camera: str, tmp_path: Path)
     image.header["lamp_w_per_m2_sr_nm"] = (
         plan.light.lamps[0].lamp.spectrum.cell_means(plan.light.bands.edges_nm).tolist()
     )
-    rendition = rendition_of(image, derive(pixel).channels, Display())
-    to_display = rendition.matrix(Develop())
+    colour_chart = measure_colour_chart(image, derive(pixel).channels, Display())
+    to_display = colour_chart.matrix(Develop())
     index, matrix = (
-        metamerism_index(rendition.errors(to_display)),
-        np.linalg.inv(rendition.to_display) @ to_display,
+        metamerism_index(colour_chart.errors(to_display)),
+        np.linalg.inv(colour_chart.to_display) @ to_display,
     )
 
     power, reflectance = illuminant("D55", FINE_NM), patch_reflectance(FINE_NM)[CHROMATIC_PATCHES]

@@ -16,7 +16,7 @@ from pixsim.viewer import scielab
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, out_of_gamut_share, rgb_to_xyz
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.screen import allows_single
+from pixsim.viewer.screen import allows_float32
 
 VIEW = {"white_xyz": WHITE_XYZ, "samples_per_deg": 23.0}
 SIDE = 127  # a prime number, which the transforms find hardest
@@ -118,9 +118,9 @@ def image() -> SpectralImage:
 
 def test_a_tolerance_below_the_bound_takes_float64():
     """And rows of one precision are not those of another."""
-    assert allows_single(None)
-    assert allows_single(scielab.SINGLE_DELTA_E)
-    assert not allows_single(0.99 * scielab.SINGLE_DELTA_E)
+    assert allows_float32(None)
+    assert allows_float32(scielab.SINGLE_DELTA_E)
+    assert not allows_float32(0.99 * scielab.SINGLE_DELTA_E)
     table = {"name": "one", "scene": {"file": "csf"}, "display": {"dots": 32}}
     camera = pixsim.Camera()
     keys, kinds = [], []
@@ -128,7 +128,7 @@ def test_a_tolerance_below_the_bound_takes_float64():
         study = Study.model_validate(table | {"tolerance_delta_e": tolerance})
         (lit,) = lit_sensors(study, image(), camera)
         keys += lit.display_hashes
-        kinds.append(lit.scenes.imaging.single)
+        kinds.append(lit.scenes.imaging.in_float32)
     assert kinds == [True, True, False]
     assert keys[0] == keys[1] != keys[2]
 
@@ -140,13 +140,15 @@ def test_a_single_frame_takes_float64():
         Display(white_cd_per_m2=1000, dots=32),
     )
     chain = imaging_chain(image(), pixsim.Camera(), pixel, pixsim.Exposure(), display)
-    assert not chain.screen.single
+    assert not chain.screen.in_float32
     assert chain.screen.ideal_lab.dtype == np.float64
     screens = [
-        scene_of(image(), pixsim.Camera(), pixel, display, full=full, single=True).screen
+        scene_of(
+            image(), pixsim.Camera(), pixel, display, without_shortcuts=full, in_float32=True
+        ).screen
         for full in (False, True)
     ]
-    assert [screen.single for screen in screens] == [True, False]
+    assert [screen.in_float32 for screen in screens] == [True, False]
     assert [screen.ideal_lab.dtype == np.float32 for screen in screens] == [True, False]
 
 
@@ -200,7 +202,7 @@ def test_single_precision_of_frame_to_score(kind, name):
     frames = []
     for single in (False, True):
         chain = imaging_chain(
-            lit(kind), pixsim.Camera(), sensor, display=display, single=single, develop=develop
+            lit(kind), pixsim.Camera(), sensor, display=display, in_float32=single, develop=develop
         )
         frame = chain.capture(5)
         shown_light = chain.development.light(frame)
@@ -240,7 +242,12 @@ def test_light_beyond_float32_takes_float64(name):
     shown_light = []
     for single in (False, True):
         chain = imaging_chain(
-            lit("ramp"), pixsim.Camera(), sensor, display=display, single=single, develop=develop
+            lit("ramp"),
+            pixsim.Camera(),
+            sensor,
+            display=display,
+            in_float32=single,
+            develop=develop,
         )
         whites = tuple(1e-60 * white for white in chain.whites_e_per_s)
         dark = replace(chain, whites_e_per_s=whites)

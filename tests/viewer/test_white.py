@@ -31,9 +31,9 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.screen import (
     LightLevel,
     amount_of_white,
+    colour_chart_of,
     fraction_beyond_white,
     ideal_on_dots,
-    screen_rendition,
     white_header,
 )
 
@@ -95,7 +95,7 @@ def test_at_most_one_per_cent_of_the_ideal_image_is_beyond_an_unstated_white(
     for cd_per_m2 in (white, white - unit):
         seen = asked.changed(display=DISPLAY.model_copy(update={"white_cd_per_m2": cd_per_m2}))
         shares.append(
-            fraction_beyond_white(ideal_on_dots(seen, image, screen_rendition(seen, image))[1])
+            fraction_beyond_white(ideal_on_dots(seen, image, colour_chart_of(seen, image))[1])
         )
     assert shares[0] <= 0.01 < shares[1]
 

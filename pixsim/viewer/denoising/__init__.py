@@ -1,4 +1,4 @@
-"""Denoising of planes of electrons: pure functions of arrays; what calls them knows the sensor.
+"""Denoising of planes of electrons: pure functions of arrays, without sensor settings.
 
 `anscombe` makes the noise of a sensor white and of variance 1, and leads back; `filters` has the
 filters between the two; `wiener` has the linear, shift-invariant filter that no other such filter

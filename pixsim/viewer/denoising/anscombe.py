@@ -134,8 +134,8 @@ def _gaussian_means(centres: Array, sigma: float) -> tuple[Array, Array]:
     density = np.exp(-(z**2) / 2) / (sigma * math.sqrt(2 * math.pi))
     roots = (2 * root**2 * density).sum(axis=0) * (last - first) / _GAUSSIAN_STEPS
 
-    at = centres / sigma
-    squares = centres * ndtr(at) + sigma * np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
+    ratio = centres / sigma
+    squares = centres * ndtr(ratio) + sigma * np.exp(-(ratio**2) / 2) / math.sqrt(2 * math.pi)
     return roots, squares
 
 

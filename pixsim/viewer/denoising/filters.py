@@ -1,8 +1,8 @@
 """Denoising of a plane of electrons: transform to white noise of variance 1, filter, exact unbiased
 inverse.
 
-The filters come from scikit-image, with the known noise in place of an estimate; or a function of
-one's own. A plane holds the pixels of one channel. The fixed pattern is noise of the picture too:
+The filters come from scikit-image, with the known noise in place of an estimate, or are functions
+of users. A plane holds the pixels of one channel. The fixed pattern is noise of the picture too:
 it has another variance than the filters are told, and the pattern of columns is not white.
 
 A. Buades, B. Coll & J.-M. Morel, CVPR (2005) 60, in the fast form of J. Darbon et al., ISBI (2008)
@@ -56,7 +56,7 @@ def denoised_plane(
         rounding
     method : nlm, wavelet, or a function of a plane whose noise has variance 1, and of `strength`,
         that returns such a plane
-    strength : of the noise that the filter takes away, relative to the known one; 0 leaves the
+    strength : of the noise that the filter takes away, relative to the known noise; 0 leaves the
         plane as it is
 
     Raises PixsimError if scikit-image is missing, the plane is smaller than the filter's window, or
