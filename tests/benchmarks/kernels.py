@@ -25,7 +25,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.chains import imaging
-from helpers.timing import median_s, seconds_of
+from benchmarks.timing import median_s, seconds_of
 
 import pixsim
 from pixsim import optics

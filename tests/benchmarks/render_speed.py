@@ -37,7 +37,7 @@ from unittest import mock
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.timing import fresh
+from benchmarks.timing import fresh
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE

@@ -1,8 +1,8 @@
 """Golden numbers: what commands that touch every feature compute, to compare a changed tree with
 the tree before.
 
-    python tests/helpers/golden.py write FOLDER [--all | NAME ...]
-    python tests/helpers/golden.py compare FOLDER [--all | NAME ...]
+    python tests/benchmarks/golden.py write FOLDER [--all | NAME ...]
+    python tests/benchmarks/golden.py compare FOLDER [--all | NAME ...]
 
 Each command runs with an empty cache, in a folder of its own. Numbers count, and words, pages,
 pictures and lists of files do not: of tables the columns of numbers without times, of JSON the
