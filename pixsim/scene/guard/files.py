@@ -24,7 +24,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from pixsim.base.caller import parameter
-from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
+from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, value_text
 from pixsim.base.files import is_utf8, missing, read_text
 from pixsim.scene.guard.assets import NUMBER
 from pixsim.scene.packaged import packaged_folder
@@ -40,6 +40,7 @@ _MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
 _MAX_SUBSTITUTED = 20_000  # parameters in all attributes
 _OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
 _DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
+_WHOLE = re.compile(r"[+-]?\d+")
 _TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
 
 
@@ -188,6 +189,18 @@ class SceneFiles:
         return value
 
 
+def _check_number(tag: str, written: dict[str, str], parameters: dict[str, str]) -> None:
+    """Raises PixsimError if an element's number is a parameter that the user sets to another text,
+    which Mitsuba would refuse by the line alone.
+    """
+    name = written.get("value", "").removeprefix("$")
+    value = parameters.get(name, "0").strip()
+    if tag == "integer" and not _WHOLE.fullmatch(value):
+        raise invalid(name, value_text(value), "a whole number")
+    if tag == "float" and not NUMBER.fullmatch(value):
+        raise invalid(name, value_text(value), "a number")
+
+
 def _no_value(word: str, path: Path, line: int) -> PixsimError:
     """Return the error for a word after `$` that begins with no parameter."""
     if PLAIN_WORD.fullmatch(word) is not None:
@@ -294,6 +307,7 @@ class _FileReader:
         attributes = {
             name: self.scene.substituted(value, self.path, line) for name, value in written.items()
         }
+        _check_number(tag, written, self.scene.parameters)
         if tag == "default":
             _take_default(attributes, self.path, self.scene)
         elif tag == "include":
