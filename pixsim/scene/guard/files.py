@@ -23,8 +23,9 @@ from functools import cached_property
 from pathlib import Path
 from xml.parsers import expat
 
+from pixsim.base.bounds import value_text
 from pixsim.base.caller import parameter
-from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, value_text
+from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
 from pixsim.base.files import is_utf8, missing, read_text
 from pixsim.scene.guard.assets import NUMBER
 from pixsim.scene.packaged import packaged_folder
