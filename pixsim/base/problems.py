@@ -56,12 +56,22 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     listed: set[str] = set()
-    problems = error.errors()
+    problems = _without_consequences(error.errors())
     lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
     further_count = len(problems) - len(lines)
     if further_count:
         lines.append(f"and {further_count} more problem{'s' * (further_count > 1)}")
     return "\n".join(lines)
+
+
+def _without_consequences(problems: Sequence[ErrorDetails]) -> list[ErrorDetails]:
+    """The problems, without lists that are too short only since a part of them is wrong."""
+    above = {problem["loc"][:depth] for problem in problems for depth in range(len(problem["loc"]))}
+    return [
+        problem
+        for problem in problems
+        if not (problem["type"] == "too_short" and problem["loc"] in above)
+    ]
 
 
 # of a file, that a message lists: each takes milliseconds, and a reader mends the first ones first
@@ -88,6 +98,10 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
         return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
 
     allowed = message.removeprefix("input should be ")
+    if kind == "too_short":
+        allowed = f"a list of at least {problem['ctx']['min_length']}"
+    if kind == "too_long":
+        allowed = f"a list of at most {problem['ctx']['max_length']}"
     if kind == "model_type":
         allowed = " of ".join(filter(None, ["a table", ", ".join(_names_at(title, path))]))
     value = problem["input"]
@@ -238,7 +252,7 @@ def _name_in(name: str, layer: Layer) -> str:
     """A name that a file gives, for a message."""
     if not layer.named and PLAIN_WORD.fullmatch(name):
         return name
-    return f"(a name of {len(name)} characters)"
+    return f"(a name of {len(name)} character{'s' * (len(name) > 1)})"
 
 
 def _names_at(title: str, path: list[str]) -> list[str]:

@@ -1,0 +1,398 @@
+"""Every field of every settings record at, just inside and just outside its ends, and with values
+of a wrong kind; generated from the records.
+
+A table of settings has up to ten wrong fields and all others at an end. The message names the wrong
+ones, no other, each with its value and what is allowed. It is the same for a constructor in Python,
+a TOML file and a command line. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+import tomli_w
+from helpers.commands import command
+from pydantic import TypeAdapter
+
+import pixsim
+from pixsim.base.bounds import LARGEST, SMALLEST
+from pixsim.base.errors import PixsimError
+from pixsim.base.problems import MAX_PROBLEMS
+from pixsim.base.records import Record, checked
+from pixsim.cli.mistakes import names_of
+from pixsim.optics.prescription import _PrescriptionFile
+from pixsim.sensor.technology import Technology
+from pixsim.studies.files import load_study
+from pixsim.studies.settings import PitchRange, Study
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import settings_layer
+
+Table = dict[str, Any]
+
+# Checked where the field is used, or by a rule of its own: see tests/optics/test_lens_bounds.py.
+WITHOUT_BOUNDS = {"radius_mm", "object_distance_mm"}
+# Values of fields whose kind says too little.
+VALID: dict[tuple[str, str], Any] = {
+    ("set", "dict"): {"camera": {"f_number": 2.8}},
+    ("colour", "model"): {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
+    ("junction", "model"): pixsim.load_technology("0.35um").model_dump()["junction"],
+}
+
+
+def records() -> list[type[Record]]:
+    """All records of settings of the package."""
+    for module in pkgutil.walk_packages(pixsim.__path__, "pixsim."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    classes: list[type[Record]] = [Record]
+    for record in classes:
+        classes += [kind for kind in record.__subclasses__() if kind not in classes]
+    return [kind for kind in classes[1:] if kind.__module__.startswith("pixsim.")]
+
+
+RECORDS = records()
+WRAPPERS = ("nullable", "default", "function-before", "function-after", "function-wrap")
+
+
+def kind_of(schema: Any) -> Table:
+    """The schema of pydantic without what may be None, defaults and validators around it."""
+    while schema["type"] in WRAPPERS:
+        schema = schema["schema"]
+    return schema
+
+
+@cache
+def fields(record: type[Record]) -> dict[str, Table]:
+    """Name of a field as a file has it -> its kind."""
+    kinds = {}
+    for name, info in record.model_fields.items():
+        annotation: Any = info.annotation
+        if info.metadata:
+            annotation = Annotated[(annotation, *info.metadata)]
+        kinds[info.alias or name] = kind_of(TypeAdapter(annotation).core_schema)
+    return kinds
+
+
+# --- Values of a kind, and values that it refuses
+# --------------------------------------------------------------------------------------------------
+
+
+def ends(number: Table) -> tuple[float, float]:
+    """The smallest and the largest value of a kind of numbers."""
+    low, high = number.get("ge", -LARGEST), number.get("le", LARGEST)
+    if "lt" not in number:
+        return low, high
+    return low, number["lt"] - 1 if number["type"] == "int" else math.nextafter(number["lt"], 0)
+
+
+def inside(kind: Table) -> list[Any]:
+    """Values at the ends of a kind, and next to them; none for a kind without ends."""
+    match kind["type"]:
+        case "float":
+            low, high = ends(kind)
+            next_to_low = math.nextafter(low, high) if low else SMALLEST
+            return [low, high, next_to_low, math.nextafter(high, low)]
+        case "int":
+            low, high = ends(kind)
+            return [low, high, min(low + 1, high), max(high - 1, low)]
+        case "literal":
+            return list(kind["expected"])
+        case "bool":
+            return [True, False]
+        case "str":
+            return ["a"]
+        case "model":
+            return [required(kind["cls"])]
+        case "tuple":
+            part = kind_of(kind["items_schema"][0])
+            count = 1 if "variadic_item_index" in kind else len(kind["items_schema"])
+            has_ends = part["type"] in ("float", "int", "model")
+            return [[value] * count for value in inside(part)] if has_ends else []
+    return []
+
+
+def valid(name: str, kind: Table, number: int) -> Any:
+    """One of the values inside, or None."""
+    values = inside(kind)
+    return VALID.get((name, kind["type"]), values[number % len(values)] if values else None)
+
+
+def required(record: type[Record]) -> Table:
+    """A table of the fields that a record must have."""
+    names = [info.alias or name for name, info in record.model_fields.items() if info.is_required()]
+    return {name: valid(name, fields(record)[name], 0) for name in names}
+
+
+NO_NUMBER = (True, "a number or a name")
+
+
+def outside(kind: Table) -> list[tuple[Any, str]]:
+    """Values that a kind refuses, each with what the message says is allowed."""
+    match kind["type"]:
+        case "float" | "int" as number:
+            low, high = ends(kind)
+            digits = "d" if number == "int" else "g"
+            at_least = f"greater than or equal to {low:{digits}}"
+            at_most = f"less than or equal to {high:{digits}}"
+            if "lt" in kind:
+                at_most = f"less than {kind['lt']:{digits}}"
+            word = "a valid integer" if number == "int" else "a valid number"
+            between = [(low + 0.5, word)] if number == "int" else []
+            tiny = (
+                [(1e-40, f"0, or at least {SMALLEST:g}")] if number == "float" and low <= 0 else []
+            )
+            below = low - 1 if number == "int" else math.nextafter(low, -math.inf)
+            above = high + 1 if number == "int" else math.nextafter(high, math.inf)
+            infinite = [(value, "a finite number") for value in (math.nan, math.inf, -math.inf)]
+            wrong_kind = [NO_NUMBER, *((value, word) for value in ("x", [], {}))]
+            return [(below, at_least), (above, at_most), *tiny, *between, *infinite, *wrong_kind]
+        case "literal":
+            choices = repr(kind["expected"][0])
+            return [("no_such", choices), (3, choices), ([], choices), NO_NUMBER]
+        case "bool":
+            return [("perhaps", "a valid boolean"), (3, "a valid boolean"), ([], "a valid boolean")]
+        case "str":
+            pattern = [("no such!", "match pattern")] if "pattern" in kind else []
+            return [*pattern, (3, "a valid string"), ([], "a valid string"), NO_NUMBER]
+        case "model":
+            return [(value, "a table of ") for value in (3, "x", [3])]
+        case "dict":
+            return [(value, "") for value in (3, "x", [3])]
+        case "tuple" if kind_of(kind["items_schema"][0])["type"] in ("float", "int"):
+            part = kind_of(kind["items_schema"][0])
+            others = [] if "variadic_item_index" in kind else inside(part)[:1]
+            return [NO_NUMBER, *(([value, *others], allowed) for value, allowed in outside(part))]
+    return [NO_NUMBER]
+
+
+Faults = dict[str, tuple[Any, str]]
+
+
+def tables(
+    record: type[Record], is_option: Callable[[str, Any], bool]
+) -> Iterator[tuple[Table, Faults]]:
+    """Yield tables of a record with up to ten faults, the other fields at their ends."""
+    kinds = {name: kind for name, kind in fields(record).items() if is_option(name, None)}
+    values = {
+        name: [fault for fault in outside(kind) if is_option(name, fault[0])]
+        for name, kind in kinds.items()
+        if name not in WITHOUT_BOUNDS
+    }
+    for number in range(max(map(len, values.values()), default=0)):
+        faults = [(name, row[number]) for name, row in values.items() if number < len(row)]
+        for start in range(0, len(faults), MAX_PROBLEMS):
+            wrong = dict(faults[start : start + MAX_PROBLEMS])
+            good = {name: valid(name, kind, number) for name, kind in kinds.items()}
+            table = good | {name: value for name, (value, _) in wrong.items()}
+            yield {name: value for name, value in table.items() if value is not None}, wrong
+
+
+def missed(message: str, where: str, faults: Faults) -> list[str]:
+    """What a message should say of some faults, and does not."""
+    lines = message.removeprefix("pixsim: ").splitlines()
+    misses = []
+    for name, (value, allowed) in faults.items():
+        part = value[0] if isinstance(value, list) and value else value
+        line = next(
+            (text for text in lines if re.match(rf"{re.escape(where + name)}(\.0)?: ", text)), None
+        )
+        texts = [repr(part), repr(str(part)), repr(value), "a text of "]
+        if line is None:
+            misses.append(f"{name} = {value!r}: expected a line on {where}{name}, got none")
+            continue
+        lines.remove(line)
+        if not any(f"got {text}" in line for text in texts):
+            misses.append(f"{name} = {value!r}: expected 'got {part!r}', got '{line}'")
+        if allowed not in line.partition("; ")[2]:
+            misses.append(f"{name} = {value!r}: expected '{allowed}', got '{line}'")
+    return misses + [f"of no field that is wrong: {line}" for line in lines]
+
+
+def refusal(call: Callable[[], object]) -> str:
+    """The message of a call; empty if it raises none."""
+    try:
+        call()
+    except PixsimError as error:
+        return str(error)
+    return ""
+
+
+# --- Python, files and command lines
+# --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=lambda record: record.__name__)
+def test_python_refuses_what_a_field_does_not_allow(record: type[Record]) -> None:
+    misses = []
+    for table, faults in tables(record, lambda name, value: True):
+        misses += missed(refusal(partial(record, **table)), "", faults)
+    unknown = refusal(lambda: record(**required(record), no_such_name=1))
+    if not unknown.startswith("no_such_name: unknown name; allowed: "):
+        misses.append(f"no_such_name = 1: got '{unknown}'")
+    assert not misses, "\n".join(misses)
+
+
+def tables_inside(
+    record: type[Record], path: tuple[Any, ...] = ()
+) -> Iterator[tuple[type[Record], Any]]:
+    """Yield a record and the records in it, with their paths; 0 stands for the first of a list."""
+    yield record, path
+    for name, kind in fields(record).items():
+        part = kind_of(kind["items_schema"][0]) if kind["type"] == "tuple" else {}
+        if kind["type"] == "dict":
+            part = kind_of(kind["values_schema"])
+            if part["type"] == "model":
+                yield from tables_inside(part["cls"], (*path, name, "x"))
+        elif kind["type"] == "model":
+            yield from tables_inside(kind["cls"], (*path, name))
+        elif part.get("type") == "model":
+            yield from tables_inside(part["cls"], (*path, name, 0))
+
+
+def nested(path: tuple[Any, ...], table: Table) -> Any:
+    """A table at its path in a file."""
+    for part in reversed(path):
+        table = [table] if part == 0 else {part: table}
+    return table
+
+
+def read_settings(path: str) -> object:
+    return checked(Run, [settings_layer(path)])
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a file has the table of a record.
+
+    root : the record of the whole file
+    path : of the table in it
+    read : reads the file
+    """
+
+    root: type[Record]
+    path: tuple[Any, ...]
+    read: Callable[[str], object]
+
+    @property
+    def words(self) -> str:
+        """The path as messages have it."""
+        return "".join(f"{part}." for part in self.path)
+
+    def text(self, table: Table) -> str:
+        """The file, with all else that it needs."""
+        if self.root is not Technology:
+            return tomli_w.dumps(required(self.root) | nested(self.path, table))
+        entries = required(Technology) | VALID["junction", "model"] | table
+        name = entries.pop("name")
+        numbers = {
+            key: {"value": value, "confidence": "A", "source": "x"}
+            for key, value in entries.items()
+        }
+        return tomli_w.dumps({"name": name, **numbers})
+
+
+PLACES: dict[type[Record], Place] = {}
+for root, read in (
+    (_PrescriptionFile, pixsim.load_lens),
+    (Technology, pixsim.load_technology),
+    (Study, load_study),
+    (Run, read_settings),
+):
+    PLACES |= {record: Place(root, path, read) for record, path in tables_inside(root)}
+
+
+def message_of_file(place: Place, table: Table, path: Path) -> str:
+    """The message of a file, with its name as "FILE".
+
+    Files of lenses and technologies may be another than the user believes: their names are counted,
+    and surfaces are numbered from 1.
+    """
+    path.write_text(place.text(table), encoding="utf-8")
+    message = refusal(lambda: place.read(str(path))).replace(str(path), "FILE")
+    message = message.replace("(a name of 1 character)", "x")
+    message = message.replace("(a name of 12 characters)", "no_such_name")
+    return re.sub(r"'FILE', surface 1( \(line \d+\))?: ", "FILE: surface.0.", message)
+
+
+@pytest.mark.parametrize("record", PLACES, ids=lambda record: record.__name__)
+def test_file_refuses_what_a_field_does_not_allow(record: type[Record], tmp_path: Path) -> None:
+    place = PLACES[record]
+    where = f"FILE: {place.words}"
+
+    def is_entry(name: str, value: Any) -> bool:
+        """Whether it is an entry of a technology's file."""
+        kind = fields(record)[name]["type"]
+        return place.root is not Technology or kind not in ("dict", "model")
+
+    misses = []
+    for number, (table, faults) in enumerate(tables(record, is_entry)):
+        message = message_of_file(place, table, tmp_path / f"{number}.toml")
+        misses += missed(message, where, faults)
+    others = {} if place.root is Technology else required(record)
+    message = message_of_file(place, others | {"no_such_name": 1}, tmp_path / "x.toml")
+    if "no_such_name: unknown name; allowed: " not in message:
+        misses.append(f"no_such_name = 1: got '{message}'")
+    assert not misses, "\n".join(misses)
+
+
+LINES = {record: "run csf" for record, place in PLACES.items() if place.root is Run}
+LINES |= {PitchRange: "study pixel-size"}
+OTHER_OPTIONS = {"--window-mm": "--window", "--lens.file": "--lens", "--noise-budget": "a flag"}
+
+
+def is_refused_text(kind: str, value: Any) -> bool:
+    """Whether the text of a value is refused as the value is. Infinity is left out, as one of many
+    large numbers.
+    """
+    if isinstance(value, list) and value:
+        return type(value[0]) in (int, float) and math.isfinite(value[0])
+    if isinstance(value, float):
+        return math.isfinite(value) or (kind == "float" and math.isnan(value))
+    return isinstance(value, str) or (type(value) is int and kind != "str")
+
+
+@pytest.mark.parametrize("record", LINES, ids=lambda record: record.__name__)
+def test_command_line_refuses_what_a_field_does_not_allow(
+    record: type[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The value of an option is a text. Nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    line, where = LINES[record], PLACES[record].words
+    _, options = names_of(line.split()[0])
+    option_names = {name: f"--{where}{name}".replace("_", "-") for name in fields(record)}
+    option_names = {
+        name: OTHER_OPTIONS.get(option, option) for name, option in option_names.items()
+    }
+
+    def is_option(name: str, value: Any) -> bool:
+        kind = fields(record)[name]["type"]
+        if option_names[name] not in options or kind == "model":
+            return False
+        return value is None or is_refused_text(kind, value)
+
+    misses = []
+    for table, faults in tables(record, is_option):
+        words = [
+            word for name, value in table.items() for word in (option_names[name], text_of(value))
+        ]
+        code, out, err = command(line, *words)
+        misses += missed(err, where, faults)
+        misses += [f"exit code {code}, with {out!r}: {err}"] if (code, out) != (2, "") else []
+    _, _, err = command(line, f"--{where}no-such-name", 1)
+    if f"Unknown option: --{where}no-such-name" not in err:
+        misses.append(f"no-such-name = 1: got '{err}'")
+    assert not misses, "\n".join(misses)
+    assert list(tmp_path.iterdir()) == []
+
+
+def text_of(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
