@@ -1,0 +1,332 @@
+"""Regrets, weighted means, best sizes by a metric, and errors of films, against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.claims import Claim
+
+from pixsim.report.axes import regrets_columns
+from pixsim.report.regret import condition_regrets_data, regrets_data, regrets_plate
+from pixsim.studies.curve import CaseLabels, Curve, first_metric_and_ci95
+from pixsim.studies.film_error import FilmError, film_error
+from pixsim.studies.optimum import fit_curve, fit_of_metric, fittable_pitches
+from pixsim.studies.regret import (
+    Regrets,
+    condition_regrets,
+    metric_regrets,
+    share_of_best,
+    weighted_fit,
+    weighted_mean,
+)
+from pixsim.studies.settings import Study
+from pixsim.viewer.metric_registry import METRICS, metrics_named
+
+PITCH_UM = np.geomspace(4.0, 12.0, 9)
+SHEET = {
+    "full_well_e": 1e4,
+    "read_noise_e": 2.0,
+    "dark_current_e_per_s": 1.0,
+    "quantum_efficiency": 0.6,
+    "data_sheet_pitch_um": 5.0,
+}
+WEIGHTS = {"day": 3.0, "night": 1.0, "never": 0.0}
+CONDITIONS = [
+    {"name": name, "weight": weight, "set": {"resolution": 48}} for name, weight in WEIGHTS.items()
+]
+HALVES = {"day": 0.5, "night": 0.5, "never": 0.0}
+
+
+def study_of(conditions: int) -> Study:
+    """A study of the first of the conditions."""
+    table = {"name": "x", "pixel": SHEET, "condition": CONDITIONS[:conditions]}
+    return Study.model_validate(table)
+
+
+def parabola(best_um: float, best: float, bend: float, pitch_um: Any = PITCH_UM) -> Any:
+    return best + bend * np.log(pitch_um / best_um) ** 2
+
+
+def curve(condition: str = "", scatter: float = 1e-6, **means: Any) -> Curve:
+    """A curve of metrics whose means at the sizes are known, with the scatter of four sensors."""
+    sensors = np.random.default_rng(1).standard_normal((PITCH_UM.size, 4))
+    metrics = metrics_named(list(means))
+    statistics = {
+        metric.columns[0]: means[metric.name][:, None] * (1 + scatter * sensors)
+        for metric in metrics
+    }
+    fits = {
+        metric.name: fit_of_metric(metric, PITCH_UM, statistics[metric.columns[0]], np.asarray)
+        for metric in metrics
+    }
+    fit = fits.pop(metrics[0].name)
+    case = CaseLabels(condition=condition)
+    fill_factor = np.ones(PITCH_UM.size)
+    return Curve(  # type: ignore[call-arg]
+        "none", 0.35, PITCH_UM, fill_factor, statistics, fit, metrics=metrics, fits=fits, case=case
+    )
+
+
+def delta_e_curves() -> list[Curve]:
+    return [
+        curve("day", delta_e=parabola(5.0, 0.3, 0.8)),
+        curve("night", delta_e=parabola(9.0, 0.9, 0.4)),
+        curve("never", delta_e=parabola(11.0, 5.0, 9.0)),
+    ]
+
+
+@cache
+def by_delta_e() -> Regrets:
+    (regrets,) = condition_regrets(study_of(3), delta_e_curves())
+    return regrets
+
+
+@cache
+def by_two_metrics() -> list[Regrets]:
+    """By information, of which more is better, and by ΔE, of day and night."""
+    day, night, _ = delta_e_curves()
+    curves = [
+        curve("day", information=parabola(5.0, 30.0, -8.0), delta_e=day.mean()),
+        curve("night", information=parabola(9.0, 20.0, -4.0), delta_e=night.mean()),
+    ]
+    return condition_regrets(study_of(2), curves)
+
+
+def vertex_um(day: float, night: float) -> float:
+    """Return where the sum of parabolas about 5 and 9 µm with these weights × bends is best."""
+    return float(np.exp((day * np.log(5.0) + night * np.log(9.0)) / (day + night)))
+
+
+def weighted_best(regrets: Regrets) -> list[float]:
+    optimum = regrets.criteria[-1].optimum
+    return [optimum.pitch_um, optimum.value]
+
+
+def fit_numbers(fit: Any) -> list[float]:
+    return [fit.optimum.pitch_um, *fit.optimum.interval_um]
+
+
+def predicted(before: float | None, error: float = 0.4) -> tuple[float, ...]:
+    """Return the error that is expected on 1024 samples from the errors on 256 and on 512."""
+    fine = FilmError((512, 512), 1.0, (5.0,), (error,), (0.01,))
+    coarse = None
+    if before is not None:
+        coarse = FilmError((256, 256), 2.0, (5.0,), (before,), (0.01,))
+    return fine.predicted_on(1024, coarse)
+
+
+FALL = np.log(9.0 / 5.0) ** 2
+DELTA_E_UM = vertex_um(0.75 * 0.8, 0.25 * 0.4)
+INFORMATION_UM = vertex_um(0.75 * 8.0, 0.25 * 4.0)
+LOSS = parabola(7.0, 1.0, 1.0)[:, None] * [[0.99, 1.0, 1.01]]
+METRIC_CURVE = partial(
+    curve, delta_e=parabola(5.0, 1.0, 1.0), information=50.0 / parabola(9.0, 1.0, 1.0)
+)
+SPLINE = "the spline between nine sizes has an error of 0.3 % of the size"
+
+CLAIMS = [
+    Claim(
+        "weights of conditions are shares of their sum",
+        lambda: [criterion.weight for criterion in by_delta_e().criteria[:3]],
+        [0.75, 0.25, 0.0],
+    ),
+    Claim(
+        "a weighted mean of parabolas is one about the weighted vertex",
+        lambda: weighted_best(by_delta_e()),
+        [
+            DELTA_E_UM,
+            0.75 * parabola(5.0, 0.3, 0.8, DELTA_E_UM) + 0.25 * parabola(9.0, 0.9, 0.4, DELTA_E_UM),
+        ],
+        rtol=0.003,
+        why=SPLINE,
+    ),
+    Claim(
+        "a regret is the value at the other's best size over the least value, less 1",
+        lambda: by_delta_e().matrix[:2, :2],
+        [[0.0, 0.8 * FALL / 0.3], [0.4 * FALL / 0.9, 0.0]],
+        rtol=0.01,
+        why=SPLINE,
+    ),
+    Claim(
+        "where more is better, a weighted mean is greatest at the weighted vertex",
+        lambda: weighted_best(by_two_metrics()[0]),
+        [
+            INFORMATION_UM,
+            0.75 * parabola(5.0, 30.0, -8.0, INFORMATION_UM)
+            + 0.25 * parabola(9.0, 20.0, -4.0, INFORMATION_UM),
+        ],
+        rtol=0.003,
+        why=SPLINE,
+    ),
+    Claim(
+        "where more is better, a regret is the greatest value over the value, less 1",
+        lambda: by_two_metrics()[0].matrix[:2, :2],
+        [[0.0, 30.0 / (30.0 - 8.0 * FALL) - 1], [20.0 / (20.0 - 4.0 * FALL) - 1, 0.0]],
+        rtol=0.02,
+        why=SPLINE,
+    ),
+    Claim(
+        "a weighted mean of one condition is that condition",
+        lambda: condition_regrets(study_of(1), delta_e_curves()[:1])[0].matrix,
+        np.zeros((2, 2)),
+        atol=1e-5,
+    ),
+    Claim(
+        "sensors are paired, so that opposite scatter cancels",
+        lambda: weighted_mean(
+            [
+                (curve(scatter=0.1, delta_e=np.ones(9)), 0.5),
+                (curve(scatter=-0.1, delta_e=np.ones(9)), 0.5),
+            ]
+        )[1],
+        np.ones((9, 4)),
+        atol=1e-12,
+    ),
+    Claim(
+        "regrets of two metrics are the rise of each from its best size to the other's",
+        lambda: metric_regrets(METRIC_CURVE()).matrix,
+        [[0.0, FALL], [FALL, 0.0]],
+        rtol=0.02,
+        why=SPLINE,
+    ),
+    Claim(
+        "the best size where more is better is that of the reciprocal",
+        lambda: fit_numbers(
+            fit_of_metric(METRICS["information"], PITCH_UM, 50.0 / LOSS, np.asarray)
+        ),
+        fit_numbers(fit_curve(PITCH_UM, LOSS / 50.0)),
+        rtol=1e-9,
+    ),
+    Claim("a film without a change has no error", lambda: film_error(0.0, 0.0), 0.0),
+    Claim("a fifth of the last change is left", lambda: film_error(0.01, 0.0), 0.002, rtol=1e-12),
+    Claim("6 % of the change before", lambda: film_error(0.0, 0.1), 0.006, rtol=1e-12),
+    Claim("2.5 times a finer one's", lambda: film_error(0.0, 0.0, finer=0.1), 0.25, rtol=1e-12),
+    Claim(
+        "2.7 samples a dot do not alias", lambda: film_error(0.01, 0.0, 0.0, 3.0), 0.002, rtol=1e-12
+    ),
+    Claim(
+        "a sample a dot may hide half as much again",
+        lambda: film_error(0.01, 0.0, 0.0, 1.0),
+        0.015,
+        rtol=1e-12,
+    ),
+    Claim(
+        "half a sample a dot hides four times that, and a fifth of mean ΔE",
+        lambda: film_error(0.01, 0.0, 2.0, 0.5),
+        0.06 + 0.4,
+        rtol=1e-12,
+    ),
+    Claim(
+        "a known chart's finer films do not alias",
+        lambda: film_error(0.01, 0.0, 0.0, 0.5, is_chart=True),
+        0.002,
+        rtol=1e-12,
+    ),
+    Claim("one film: second order", lambda: predicted(None), [0.1], rtol=1e-12),
+    Claim("two films: the order between them", lambda: predicted(1.2), [0.4 / 3], rtol=1e-12),
+    Claim("two films: at least first order", lambda: predicted(0.4), [0.2], rtol=1e-12),
+    Claim("two films: at most second order", lambda: predicted(9.0), [0.1], rtol=1e-12),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
+
+
+def test_regrets_by_a_further_metric_are_those_of_a_study_of_that_metric() -> None:
+    (only_delta_e,) = condition_regrets(study_of(2), delta_e_curves()[:2])
+    further = condition_regrets_data(by_two_metrics()[1])["regret"]
+    np.testing.assert_allclose(further, condition_regrets_data(only_delta_e)["regret"], rtol=1e-3)
+
+
+def test_regrets_are_the_same_in_the_figure_the_csv_and_the_json() -> None:
+    regrets = by_delta_e()
+    plate = regrets_plate(regrets, PITCH_UM)
+    table = regrets_columns([regrets])
+    assert plate.table["day regret"] == regrets.criteria[0].regret(PITCH_UM).tolist()
+    assert table["pitch_um"] == [criterion.optimum.pitch_um for criterion in regrets.criteria]
+    assert table["regret_at_night"] == regrets.matrix[:, 1].tolist()
+    assert condition_regrets_data(regrets)["regret"] == regrets.matrix.tolist()
+
+
+def test_weighted_mean_that_is_best_at_the_smallest_size_has_an_open_interval() -> None:
+    curves = [
+        curve("day", 1e-4, delta_e=parabola(3.0, 0.3, 0.8)),
+        curve("night", 1e-4, delta_e=parabola(3.5, 0.9, 0.4)),
+    ]
+    fit = weighted_fit(study_of(3), curves, HALVES)
+    assert fit is not None
+    assert not fit.optimum.inside
+    assert fit.optimum.interval_um[0] is None
+
+
+@pytest.mark.parametrize("curves", [1, 2], ids=["one condition", "four common sizes"])
+def test_no_weighted_mean_without_a_condition_or_with_few_common_sizes(curves: int) -> None:
+    day, night, _ = delta_e_curves()
+    assert weighted_fit(study_of(3), [day, night], HALVES) is not None
+    other_um = PITCH_UM + 0.01
+    other_um[:4] = PITCH_UM[:4]
+    moved = replace(night, pitch_um=other_um, fit=fit_curve(other_um, night.delta_e))
+    assert weighted_fit(study_of(3), [day, moved][:curves], HALVES) is None
+
+
+@pytest.mark.parametrize(("name", "value"), [("information", 0.0), ("mtf50", 1.1)])
+def test_metric_that_is_worth_nothing_or_has_no_best_size_has_no_fit(
+    name: str, value: float
+) -> None:
+    values = np.array([[1.0, value]] * PITCH_UM.size)
+    assert fit_of_metric(METRICS[name], PITCH_UM, values, np.asarray) is None
+
+
+def test_nothing_is_left_where_the_best_value_is_zero() -> None:
+    fit = curve(delta_e=parabola(6.0, 1.0, 1.0)).fit
+    loss = np.maximum(np.abs(fit.pitch_um - PITCH_UM[3]) - 0.1, 0.0)
+    share = share_of_best(replace(fit, delta_e=loss))
+    assert (share.max(), share[0]) == (1.0, 0.0)
+
+
+def test_size_worth_nothing_ends_a_curve_and_one_without_a_number_is_left_out() -> None:
+    """ΔE takes all sizes."""
+    metric = METRICS["information"]
+    values = 50.0 / (parabola(6.0, 1.0, 1.0)[:, None] * [[0.99, 1.01]])
+    values[7, 1] = 0.0
+    values[1] = np.nan
+    fittable = np.array([True, False, True, True, True, True, True, False, False])
+    np.testing.assert_array_equal(fittable_pitches(metric, values), fittable)
+
+    fit = fit_of_metric(metric, PITCH_UM, values, np.asarray)
+    expected = fit_curve(PITCH_UM[fittable], metric.loss(values[fittable]))
+    assert fit is not None
+    assert fit.optimum.pitch_um == expected.optimum.pitch_um
+
+    both = curve(delta_e=parabola(6.0, 1.0, 1.0), information=parabola(6.0, 50.0, -1.0))
+    both = replace(
+        both,
+        statistics={"mean_delta_e": both.delta_e[:, :2], "information": values},
+        fits={"information": fit},
+    )
+    by_information = both.judged_by("information")
+    assert both.fittable.all()
+    assert np.isnan(by_information.delta_e[~fittable]).all()
+    means, half_widths = first_metric_and_ci95(by_information)
+    np.testing.assert_allclose(means[[0, 7]], values[[0, 7]].mean(axis=1), rtol=1e-3)
+    assert np.isnan(half_widths[~fittable]).all()
+    assert by_information.judged_by("delta_e").optimum is both.optimum
+
+
+def test_regret_where_nothing_is_left_is_infinite_and_null_in_json() -> None:
+    """Information is 0 at the largest size, which is best by ΔE."""
+    values = parabola(6.0, 50.0, -5.0)
+    values[-1] = 0.0
+    regrets = metric_regrets(curve(delta_e=parabola(12.0, 1.0, 1.0), information=values))
+    assert regrets is not None
+    at_end = replace(regrets.criteria[0].optimum, pitch_um=12.0)
+    first = replace(regrets.criteria[0], optimum=at_end)
+    at_zero = replace(regrets, criteria=(first, regrets.criteria[1]))
+    assert at_zero.matrix[1, 0] == np.inf
+    assert regrets_data(at_zero)["regret"][1][0] is None
