@@ -22,7 +22,7 @@ from pixsim.light.tables import (
     IN_BRACKETS,
     PERCENT,
     WavelengthTable,
-    quantum_efficiency_of,
+    column_quantum_efficiency,
     read_table,
     unit_hint,
 )
@@ -39,8 +39,10 @@ ALLOWED = (
 
 
 def as_quantum_efficiency(value: object) -> object:
-    """Quantum efficiency as a number or pairs, from a number, pairs, or the path of a CSV file.
-    ValueError if it is neither.
+    """Return a quantum efficiency as a number or pairs, from a number, pairs, or the path of a CSV
+    file.
+
+    Raises ValueError if the value is none of these.
     """
     if value is None:
         return None
@@ -83,20 +85,22 @@ def as_quantum_efficiency(value: object) -> object:
 
 
 def read_curve(path: Path) -> EfficiencyCurve:
-    """Quantum efficiency from the first two columns of a table, in A/W too. ValueError if they are
-    not a curve.
+    """Return a quantum efficiency from the first two columns of a table, converted from A/W.
+
+    Raises ValueError if they are not a curve.
     """
     table = read_table(path, "quantum efficiency", _ALLOWED_FILE, 1, MAX_FILE_BYTES, ALLOWED_NM)
     return _check_curve(_efficiencies(table, path)[0] if table.columns else (), f"'{path}'")
 
 
 def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
-    """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a
-    responsivity makes it more than 1.
+    """Return the quantum efficiency of each column, in the order of the wavelengths.
+
+    Raises ValueError if a responsivity exceeds one electron per photon.
     """
     nm = [float(value_nm) for value_nm in table.nm]
     for column in table.columns:
-        highest = max(quantum_efficiency_of(column, table.nm), default=0.0)
+        highest = max(column_quantum_efficiency(column, table.nm), default=0.0)
         if column.unit == A_PER_W and highest > 1:
             got = (
                 f"'{path}' in A/W, by its title, which makes a quantum efficiency of {highest:.3g}"
@@ -105,7 +109,7 @@ def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
                 f"got {got}; allowed: up to 1, λ/1239.84 nm in A/W. In mA/W? Or relative values?"
             )
     return [
-        tuple(zip(nm, quantum_efficiency_of(column, table.nm), strict=True))
+        tuple(zip(nm, column_quantum_efficiency(column, table.nm), strict=True))
         for column in table.columns
     ]
 
@@ -114,8 +118,8 @@ _IN_PER_CENT = "In per cent? Divide percentages by 100, or write % into the titl
 
 
 def _rising(pairs: EfficiencyCurve) -> EfficiencyCurve:
-    """Pairs of a wavelength and a value, in ascending order if all wavelengths decrease; values
-    below `SMALLEST` are 0.
+    """Return pairs of wavelength and value, reversed if all wavelengths decrease, with values below
+    `SMALLEST` as 0.
     """
     pairs = tuple((nm, 0.0 if abs(value) < SMALLEST else value) for nm, value in pairs)
     falls = all(nm > following for (nm, _), (following, _) in pairwise(pairs))
@@ -152,8 +156,9 @@ _ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and s
 
 
 def as_share(value: object) -> object:
-    """A share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file.
-    ValueError if it is none.
+    """Return a share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file.
+
+    Raises ValueError if the value is none of these.
     """
     if value is None:
         raise ValueError(f"got None; allowed: {_ALLOWED_SHARE}")
@@ -232,8 +237,8 @@ _ALLOWED_CURVES = (
 
 
 def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
-    """A validator of curves of channels, from a table of letter -> pairs, or the path of a CSV
-    file. ValueError if it is neither.
+    """Return a validator of curves of channels, from a table of letter -> pairs, or the path of a
+    CSV file. It raises ValueError for other values.
 
     kind : quantity of the values, for messages
     highest : largest allowed value
@@ -272,7 +277,7 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
 
 
 def _read_curves(path: Path, kind: str, highest: float) -> Curves:
-    """Curves of channels from the columns of a table.
+    """Read curves of channels from the columns of a table.
 
     Quantum efficiencies in A/W are converted, sensitivities are not.
     """
@@ -316,7 +321,10 @@ def _read_curves(path: Path, kind: str, highest: float) -> Curves:
 
 
 def _letter(name: str) -> str:
-    """The letter of a channel, from a letter or a colour's name. ValueError if it is neither."""
+    """Return the letter of a channel, from a letter or the name of a colour.
+
+    Raises ValueError for other names.
+    """
     letter = _COLOUR_WORDS.get(name.strip().lower(), name.strip().upper())
     if not re.fullmatch("[A-Z]", letter):
         raise ValueError(
@@ -329,8 +337,9 @@ def _letter(name: str) -> str:
 def _check_channel(
     curve: EfficiencyCurve, kind: str, highest: float, source: str
 ) -> EfficiencyCurve:
-    """Return the curve of a channel, wavelengths increasing. ValueError if it has gaps, or values
-    that are out of range or all zero.
+    """Return the curve of a channel with increasing wavelengths.
+
+    Raises ValueError if it has gaps, or values that are out of range or all zero.
     """
     allowed = f"{kind} of 0 to {highest:g}, wavelengths in nm that increase"
     curve = _rising(curve)

@@ -24,8 +24,8 @@ from pixsim.base.mapped import release
 from pixsim.light.spectral import (
     DIFFUSER,
     DIFFUSER_W,
-    EDGE,
     LAMP,
+    RATIO_ROUNDING,
     WHITE_LAMPS,
     WHOLE,
     SpectralImage,
@@ -187,8 +187,8 @@ def _checked_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_diffuser(plate: dict[str, Any], bands: int) -> None:
-    """Check a header's entry on a white plate. Raises ValueError or TypeError if it has another
-    type or value.
+    """Raise ValueError or TypeError if a header's entry on a white plate has another type or
+    value.
     """
     if not isinstance(plate, dict):
         raise TypeError(f"{DIFFUSER} must be a table")
@@ -390,8 +390,8 @@ _MAX_CUT = 0.01  # of the height
 
 
 def reduced_to_fit(image: SpectralImage) -> SpectralImage:
-    """Return the image, or its means over larger samples where it has over 1024 across or its file
-    would exceed 60 MB.
+    """Return the image with at most 1024 samples across and 60 MB in a file, by means over larger
+    samples if necessary.
 
     The finest sampling with whole numbers of samples in each mean is taken, if one is at most twice
     as coarse as needed; else one that cuts little off the height. An image of few rows, where every
@@ -412,7 +412,7 @@ def reduced_to_fit(image: SpectralImage) -> SpectralImage:
             return image.box_reduced(columns)
 
     def cut_height(columns: int) -> float:  # off the height, in larger samples
-        return (height * columns / width + EDGE) % 1
+        return (height * columns / width + RATIO_ROUNDING) % 1
 
     best = min(range(max_columns, max_columns - max_columns // NEAR - 1, -1), key=cut_height)
     fits = cut_height(best) * width / best <= _MAX_CUT * height

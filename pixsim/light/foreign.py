@@ -24,7 +24,7 @@ from pixsim.base.files import check_size, read_bytes, reason, size_of
 from pixsim.base.notes import Note, warn
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
-from pixsim.light.tables import POWERS, as_number, as_text, unit_of_wavelength
+from pixsim.light.tables import POWERS, as_number, as_text, wavelength_unit
 
 IRRADIANCE_UNIT = "W.m^-2.nm^-1"  # of pixsim's files, as the layout of Fichet et al. spells it
 ALLOWED_UNITS = (
@@ -459,10 +459,10 @@ def _read_envi(path: Path) -> Cube:
         )
 
     if _ENVI_ORDER.search(as_text(content) or "") is None:
-        words = (
+        note_text = (
             f"'{path.name}' states no byte order: it is read as 0, the least significant byte first"
         )
-        warn(Note("file_as_read", words=words))
+        warn(Note("file_as_read", words=note_text))
 
     if nm is None:
         raise invalid(
@@ -479,7 +479,7 @@ def _read_envi(path: Path) -> Cube:
 
     extra: dict[str, Any] = {key: header.get(key) for key in ("pitch_um", "white_cd_per_m2")}
     units = header.get("data units", header.get("radiance data units", ""))
-    unit = unit_of_wavelength(str(header.get("wavelength units", "")))
+    unit = wavelength_unit(str(header.get("wavelength units", "")))
     return Cube(data, nm, ", ".join(np.atleast_1d(units)), width_nm, wavelength_unit=unit, **extra)
 
 
@@ -545,7 +545,7 @@ def _envi_nm(path: Path, header: dict[str, Any], field: str) -> Array | None:
     if field not in header:
         return None
     stated = str(header.get("wavelength units", "none"))
-    unit = unit_of_wavelength(stated)
+    unit = wavelength_unit(stated)
     if not unit:
         allowed = "Nanometers, Micrometers or Angstroms"
         hint = "Write them into the header."

@@ -52,8 +52,8 @@ WHITE_RADIANCE = "white_w_per_m2_sr"
 # `display.white = "diffuser"`.
 DIFFUSER = "diffuser"
 DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
-WHITE_OF_PLATE = "a white plate in the scene's light"  # as `white_words`
-# of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
+WHITE_OF_PLATE = "a white plate in the scene's light"  # as `white_description`
+# Of light whose amount a luminance can state; an incandescent lamp has 15, a line at 750 nm 0.08.
 MIN_LM_PER_W = 0.1
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
@@ -388,7 +388,7 @@ class SpectralImage:
         height, width = self.shape
         is_coarser = 1 <= columns <= width
         samples_per_cell = width / columns if is_coarser else math.nan
-        rows = int(height / samples_per_cell + EDGE) if is_coarser else 0
+        rows = int(height / samples_per_cell + RATIO_ROUNDING) if is_coarser else 0
         if not rows:
             raise invalid(
                 "columns", columns, f"1 to {width}, and at least one row of square samples"
@@ -534,11 +534,11 @@ class SpectralImage:
         )
 
 
-# entry of an image's header: its light is still to be blurred by a real lens, and rings below zero
-# at edges
+# Entry of an image's header: its light is still to be blurred by a real lens, and rings below zero
+# at edges.
 RINGS = "rings"
-# of the largest value, below zero: 1.15 of the worst picture in a quintic spline, and its means
-# over other cells
+# Of the largest value, below zero: 1.15 of the worst picture in a quintic spline, and its means
+# over other cells.
 MAX_RING = 1.5
 
 
@@ -553,7 +553,8 @@ def lowest_allowed(header: dict[str, Any], highest: float) -> float:
     return -MAX_RING * max(highest, 0.0) if header.get(RINGS) is True else 0.0
 
 
-# entry of a header: row, column of samples far above all others, which do not set exposure or white
+# Entry of a header: row, column of samples far above all others, which set neither exposure nor
+# white.
 OUTLIERS = "outlier_samples"
 
 
@@ -620,8 +621,8 @@ def without_outliers(image: SpectralImage) -> SpectralImage | None:
     )
 
 
-def white_words(has_spectrum: bool, lamps: Sequence[str] = ()) -> str:
-    """Name the light of a scene's white, for messages and reports.
+def white_description(has_spectrum: bool, lamps: Sequence[str] = ()) -> str:
+    """Return a description of the light of a scene's white, for messages and reports.
 
     has_spectrum : whether its spectrum is known; else D65 takes its place
     lamps : names of the lamps that make the scene's white
@@ -633,7 +634,7 @@ def white_words(has_spectrum: bool, lamps: Sequence[str] = ()) -> str:
     return f"D65 (the lamps share no spectrum, and the scene names no {WHITE_LAMPS})"
 
 
-EDGE = 1e-9  # of a sample: rounding errors of a ratio
+RATIO_ROUNDING = 1e-9  # of a sample: rounding errors of a ratio
 
 
 def _box_means(picture: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:

@@ -1,10 +1,10 @@
 """Read tables of numbers against wavelength, in the forms that instruments, spreadsheets and other
 programs write.
 
-Columns are parted by commas, semicolons, tabs or blanks, numbers have a point or a comma, in UTF-8,
-UTF-16 or Latin-1, in rising or falling order. Units that a title states are obeyed. What a file
-holds is not quoted in messages, but for its numbers: it may be another than the user believes, such
-as a key.
+Columns are separated by commas, semicolons, tabs or blanks, numbers have a point or a comma, in
+UTF-8, UTF-16 or Latin-1, in rising or falling order. Units in titles are taken into account. Except
+for numbers, messages do not quote the content of a file: it may not be the file that the user
+means, but a key, say.
 """
 
 from __future__ import annotations
@@ -50,11 +50,10 @@ _AMPERE_PER_WATT = re.compile(
 )
 PREFIXES = {"": 0, "m": -3, "u": -6, "µ": -6, "μ": -6}
 A_PER_W = "A/W"
-PLANCK_J_S, LIGHT_SPEED_M_PER_S, ELEMENTARY_CHARGE_C = (
-    6.62607015e-34,
-    299792458.0,
-    1.602176634e-19,
-)  # SI 2019, exact
+# SI 2019, exact.
+PLANCK_J_S = 6.62607015e-34
+LIGHT_SPEED_M_PER_S = 299792458.0
+ELEMENTARY_CHARGE_C = 1.602176634e-19
 _HC_PER_Q_NM_W_PER_A = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELEMENTARY_CHARGE_C * 1e9
 
 
@@ -83,8 +82,8 @@ class WavelengthTable:
 
 
 def as_text(content: bytes) -> str | None:
-    """Text of a file in UTF-8 or UTF-16, with or without a byte order mark, or in Latin-1. None if
-    it is no text.
+    """Return the text of a file in UTF-8, UTF-16 or Latin-1, with or without a byte order mark, or
+    None if it is no text.
     """
     halves = [content[start::2].count(0) for start in (0, 1)]
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -121,7 +120,7 @@ class Cells:
 
 
 def read_cells(path: Path, name: str, allowed: str, max_bytes: int) -> Cells:
-    """Cells of a table. ValueError if the file cannot be read or is no text.
+    """Read the cells of a table. Raises ValueError if the file cannot be read or is no text.
 
     name, allowed : of the setting, for messages
     """
@@ -174,7 +173,7 @@ def _blank_separated(line: str) -> list[str]:
 
 
 def _separator(lines: Sequence[str]) -> str | None:
-    """The mark between the columns of lines of numbers, or None for blanks."""
+    """Return the separator of the columns of lines of numbers, or None for blanks."""
     if any(";" in line for line in lines):
         return ";"
     if lines and all("\t" in line.strip() for line in lines):
@@ -191,8 +190,9 @@ def _separator(lines: Sequence[str]) -> str | None:
 
 
 def as_number(cell: str, decimal: str) -> Decimal | None:
-    """Number of a cell, exactly; one in per cent with its sign as a fraction. None if it is no
-    number.
+    """Return the exact number of a cell, or None if it holds no number.
+
+    A number with a per cent sign becomes a fraction.
     """
     plain = cell.replace(decimal, ".")
     bare = plain.removesuffix("%").rstrip()
@@ -215,8 +215,8 @@ def read_table(
     value_count : columns of values that each line must have; with 1, further ones are left out
     bounds_nm : lowest and highest wavelength; the message on others names the likely unit
 
-    ValueError if the file is no such table: its message names a line without numbers, wavelengths
-    out of bounds, or a unit that is none of wavelength.
+    Raises ValueError if the file is no such table: for a line without numbers, for wavelengths out
+    of bounds, and for a unit that is not one of wavelength.
     """
     cells = read_cells(path, name, allowed, max_bytes)
     headers, rows, percent_columns = _split_rows(cells, path, value_count)
@@ -241,7 +241,7 @@ def read_table(
     unit = ""
     units = [("", 0)] * count
     for titles in _comment_titles(cells, width) + title_rows:
-        unit = _wavelength_unit(titles[0], path, allowed) or unit
+        unit = _title_wavelength_unit(titles[0], path, allowed) or unit
         units[1:] = [
             _value_unit(title) or stated
             for title, stated in zip(titles[1:count], units[1:], strict=True)
@@ -263,20 +263,18 @@ def read_table(
         is_percent = symbol == "%"
         highest = max(float(row[index]) for row in rows)
         if is_percent and highest <= 1:
-            words = (
-                f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
-            )
-            warn(Note("file_as_read", words=f"{words}Fractions have no % in their title"))
+            text = f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
+            warn(Note("file_as_read", words=f"{text}Fractions have no % in their title"))
 
         values = tuple(_scaled(row[index], power) for row in rows)
         columns.append(Column(names[index], "" if is_percent else symbol, values))
 
     nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)
     if hint := unit_hint([float(value_nm) for value_nm in nm], bounds_nm, unit, "the title"):
-        mend = "" if unit else ", or state the unit in the title"
+        remedy = "" if unit else ", or state the unit in the title"
         raise ValueError(
             f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}."
-            f" {hint}{mend}"
+            f" {hint}{remedy}"
         )
 
     return WavelengthTable(nm, tuple(columns))
@@ -353,8 +351,8 @@ def _titles(
     separator: str | None,
     separator_patterns: Sequence[str] = _TITLE_SEPARATORS,
 ) -> list[str]:
-    """Title of each of `count` columns; empty if a header has another number of them, or longer
-    texts.
+    """Return the titles of `count` columns; empty if a header has another number of titles, or
+    texts too long for titles.
     """
     if max(map(len, header), default=0) > MAX_TITLE:
         return []
@@ -375,11 +373,12 @@ def _words(title: str) -> list[str]:
     return [word.removesuffix("s") for word in re.findall(r"[^\W\d_]+", title.casefold())]
 
 
-def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
-    """Symbol of the unit that a title of wavelengths states; empty without one. ValueError for one
-    of energy or frequency.
+def _title_wavelength_unit(title: str, path: Path, allowed: str) -> str:
+    """Return the symbol of the unit in a title of wavelengths; empty without a unit.
+
+    Raises ValueError for a unit of energy or frequency.
     """
-    unit = unit_of_wavelength(title)
+    unit = wavelength_unit(title)
     other_units = [_NO_WAVELENGTH[word] for word in _words(title) if word in _NO_WAVELENGTH]
     if not unit and other_units:
         raise ValueError(
@@ -389,8 +388,8 @@ def _wavelength_unit(title: str, path: Path, allowed: str) -> str:
     return unit
 
 
-def unit_of_wavelength(text: str) -> str:
-    """Symbol of the unit of wavelength that a text states; empty without one.
+def wavelength_unit(text: str) -> str:
+    """Return the symbol of the unit of wavelength in a text; empty without a unit.
 
     >>> unit_of_wavelength("wavelength_nm"), unit_of_wavelength("Micrometers")
     ('nm', 'µm')
@@ -405,8 +404,8 @@ def unit_of_wavelength(text: str) -> str:
 
 
 def _value_unit(title: str) -> tuple[str, int] | None:
-    """Unit that the title of values states, and the power of ten that converts to it, or None
-    without one.
+    """Return the unit in a title of values and the power of ten that converts to it, or None
+    without a unit.
     """
     if responsivity := _AMPERE_PER_WATT.search(title):
         return A_PER_W, PREFIXES[responsivity[1]]
@@ -418,9 +417,9 @@ def _value_unit(title: str) -> tuple[str, int] | None:
 
 
 def _is_of_units(titles: Sequence[str]) -> bool:
-    """Whether a row below the titles has the units alone, as nm and %."""
+    """Whether a row of titles holds units only, such as nm and %."""
     bare = [title.strip("()[] ") for title in titles]
-    return unit_of_wavelength(titles[0]) != "" and all(
+    return wavelength_unit(titles[0]) != "" and all(
         not re.search(r"[^\W\d]", PERCENT.sub("", _AMPERE_PER_WATT.sub("", unit)))
         for unit in bare[1:]
     )
@@ -429,8 +428,8 @@ def _is_of_units(titles: Sequence[str]) -> bool:
 def unit_hint(
     wavelengths: Sequence[float], bounds_nm: tuple[float, float], stated: str = "", source: str = ""
 ) -> str:
-    """Name the likely unit of wavelengths that are out of bounds; empty if they are within, or no
-    unit fits.
+    """Return a hint at the likely unit of wavelengths out of bounds; empty if they are within, or
+    no unit fits.
 
     wavelengths : in nm, by the unit `stated`; empty for none, which is nm
     bounds_nm : lowest and highest wavelength
@@ -452,14 +451,16 @@ def unit_hint(
     if not fits:
         return ""
 
-    though = f", though {source} says {stated}" if stated else ""
+    contradiction = f", though {source} says {stated}" if stated else ""
     power = POWERS[fits[0]]
-    mend = f"Multiply wavelengths in {fits[0]} by {10.0**power:g}" if power else "Correct the unit"
-    return f"These seem to be in {fits[0]}{though}. {mend}"
+    remedy = (
+        f"Multiply wavelengths in {fits[0]} by {10.0**power:g}" if power else "Correct the unit"
+    )
+    return f"These seem to be in {fits[0]}{contradiction}. {remedy}"
 
 
-def quantum_efficiency_of(column: Column, nm: Sequence[Decimal]) -> tuple[float, ...]:
-    """Quantum efficiency of a column: as it is, or of a responsivity R in A/W, R h c / (q λ)."""
+def column_quantum_efficiency(column: Column, nm: Sequence[Decimal]) -> tuple[float, ...]:
+    """Return the quantum efficiency of a column; R h c / (q λ) for a responsivity R in A/W."""
     if column.unit != A_PER_W:
         return tuple(map(float, column.values))
     return tuple(

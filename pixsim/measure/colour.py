@@ -1,10 +1,10 @@
 """A colour sensor under CIE D55: its patches, colour matrix and noise, measured on frames of its
 mosaic, next to closed forms.
 
-Even fields of the chromatic patches of ISO 17321-1, of a perfect white and of 18 % grey fill frames
-of one device. White is at 72 % of saturation in the channel that it fills most, so that grey is at
-13 % (ISO 15739). The mean of each channel over its mean in white is the balanced response, to which
-the matrix is fitted as in `pixsim.viewer.colour_matrix`. Temporal noise is measured in the
+Uniform fields of the chromatic patches of ISO 17321-1, of a perfect white and of 18 % grey fill
+frames of one device. White is at 72 % of saturation in the channel that it fills most, so that grey
+is at 13 % (ISO 15739). The mean of each channel over its mean in white is the balanced response, to
+which the matrix is fitted as in `pixsim.viewer.colour_matrix`. Temporal noise is measured in the
 difference of two frames of grey, as luminance Y and as R - Y and B - Y of the display's linear
 light, of single samples without interpolation between pixels.
 """
@@ -37,11 +37,10 @@ LAMP = "D55"  # the default of ISO 17321-1
 _WHITE_SHARE = 0.13 / 0.18  # of saturation
 GREY = 0.18  # reflectance
 PAIRS = 2  # frames of each field
-_MIN_WHITE_SIGMAS = (
-    5.0  # standard errors of a channel's white: with fewer, its balance is not known
-)
+# Standard errors of a channel's white: with fewer, its balance is not known.
+_MIN_WHITE_SIGMAS = 5.0
 _ROUNDING_DN = 0.01  # of a mean, where there is no noise to see
-# of the measured means within their standard errors, for those of what follows: known to 15 %
+# Of the measured means within their standard errors; they give standard errors to 15 %.
 _REDRAWS = 24
 
 

@@ -68,8 +68,8 @@ _GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6
 
 
 def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> tuple[float, float]:
-    """Mean (DN) and mean temporal variance (DN²) over the pixels at `mean_e` photo-electrons; the
-    quantiser adds 1/12 DN².
+    """Return mean (DN) and mean temporal variance (DN²) over the pixels at `mean_e`
+    photo-electrons, with 1/12 DN² of the quantiser.
 
     Shot noise is approximated by a normal distribution, as in `pixsim.sensor.saturation`.
     """
@@ -349,7 +349,7 @@ def datasheet(
     )
 
 
-# A data sheet is of single exposures of even light, as they are read. Camera and lens stand in a
+# A data sheet is measured on single raw exposures of uniform light. Camera and lens stand in a
 # sensor's file for other commands.
 UNUSED_SETTINGS = (
     *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
@@ -416,12 +416,13 @@ def datasheet_settings(
 
 
 def make_datasheet(
-    pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **how: Any
+    pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **options: Any
 ) -> DataSheet:
-    """Measure one simulated device of a pixel; `how` are the keywords of `make_experiment`, which
-    raises PixsimError.
+    """Measure one simulated device of a pixel.
+
+    options : keywords of `make_experiment`, which raises PixsimError
     """
-    return measure(make_experiment(pixel, exposure, **how), stage, how.get("wavelength_nm"))
+    return measure(make_experiment(pixel, exposure, **options), stage, options.get("wavelength_nm"))
 
 
 def measure(
@@ -512,7 +513,9 @@ def measure(
 
 
 def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
-    """Measure the colour of a sensor; a sentence if its filters do not distinguish colours."""
+    """Measure the colour of a sensor; return a sentence if its filters do not distinguish colours,
+    None if it has none.
+    """
     if experiment.physics.layout is None:
         return None
     try:

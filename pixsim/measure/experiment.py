@@ -52,7 +52,7 @@ DARK_TIMES = 8  # the standard requires at least 6
 _TEMPERATURE_STEPS_K = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)
 _MAX_TEMPERATURE_K = 400.0
 _USUAL_INTEGRATION_S = 0.030  # of Fig. 2 of Chen et al. (2000)
-# of saturation: limit of the dark charge in the light series, if no integration time is given
+# Of saturation: limit of the dark charge in the light series, if no integration time is given.
 _DARK_SHARE = 0.02
 _MAX_DARK_SHARE = 0.2  # of saturation, at the longest time of the dark series
 _MAX_DARK_S = 3600.0
@@ -65,8 +65,8 @@ _MAX_LIGHT = 4.0  # times saturation, of generated charge: end of the search for
 class Experiment:
     """The sensor and the exposures of a photon-transfer experiment.
 
-    All pixels of a colour sensor have the filter of the channel that has the most: EMVA 1288 takes
-    each channel for itself.
+    All pixels of a colour sensor have the filter of its most frequent channel: EMVA 1288 measures
+    each channel separately.
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
@@ -197,7 +197,7 @@ def peak_wavelength_nm(physics: PixelPhysics) -> float:
     return float(highest[highest.size // 2])
 
 
-# spread of a dark frame from which rounding adds 1/12 DN², wherever its mean lies between two codes
+# Spread of a dark frame from which rounding adds 1/12 DN², wherever the mean of the frame lies.
 _FINE_DN = 0.6
 # Above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes.
 _MIDWAY_DN = 0.25

@@ -1,5 +1,5 @@
-"""What a lens designer expects of a lens: first-order data, spots, PSFs, MTFs and curves over the
-field, and its layout.
+"""Data of a traced lens: first-order data, spots, PSFs, MTFs and curves over the field, and its
+layout.
 """
 
 from __future__ import annotations
@@ -47,13 +47,12 @@ _PSF_SPOTS = 6  # rms radii along a side of a PSF
 _PSF_SAMPLES = 3  # of the width λN along a side
 _MAX_SAMPLES = 160  # of a PSF along a side, where aberrations make it large
 MAX_FINE_WAVES = 3000  # samples along a side, on which waves interfere
-_MAX_WIDTHS = (
-    300  # λN along a side; the PSF of waves would take seconds, and that of rays differs little
-)
+# λN along a side; the PSF of waves would take seconds, and the PSF of rays differs little.
+_MAX_WIDTHS = 300
 GRID, LINE_BINS = 81, 4096  # of rays across the stop, and of their line spread functions
 _RAYS_AIMED = 1e-4  # of the stop's radius, a hundredth of their distance
-# rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28
-# surfaces
+# Rays of such a grid times surfaces, about a second: 81 across for three wavelengths and 28
+# surfaces.
 _MAX_TRACED = 5e6
 # Of the cross-section: shares of the largest field, and heights of its rays in the stop.
 _CUT_FIELDS = (0.0, 0.7, 1.0)
@@ -390,8 +389,8 @@ def _point_spreads(
     """Return the PSF of each field, means over squares of `pitch_um`, with the chief ray in the
     middle of y upwards, (n, n).
 
-    None at all if the cone of light at the image plane has much finer waves than the f-number
-    tells, as far from a focus.
+    The list is empty if the cone of light at the image plane is much wider than by the f-number, as
+    far from a focus.
 
     side_um : at least, of the square that a PSF lies in
     """
@@ -465,8 +464,8 @@ def line_mtf(line: Array, pitch_um: float, frequency_lp_per_mm: Array) -> Array:
     """Return the MTF (n,) of a line spread function: the modulus of its Fourier transform, 1 at
     frequency 0.
     """
-    at_mm = (np.arange(line.size) - line.size // 2) * pitch_um * 1e-3
-    turning = np.exp(-2j * np.pi * frequency_lp_per_mm[:, None] * at_mm)
+    position_mm = (np.arange(line.size) - line.size // 2) * pitch_um * 1e-3
+    turning = np.exp(-2j * np.pi * frequency_lp_per_mm[:, None] * position_mm)
     return np.asarray(np.abs(turning @ line) / line.sum())
 
 
@@ -636,7 +635,7 @@ def _changed_lens(
     object_distance_m: float | None,
     focus_nm: float | None = None,
 ) -> Lens:
-    """Return a lens as the options of `pixsim lens` change it; an option of None changes nothing.
+    """Return a lens with the options of `pixsim lens`; None leaves a property as it is.
 
     Raises PixsimError as the methods of `Lens` do.
     """

@@ -85,8 +85,7 @@ COVERAGE = 0.95  # of the intervals
 _FINER = 4  # frequencies for each of the DFT
 # Neighbours whose residuals give one variance: the noise varies slowly with the signal.
 _POOLED_BINS = 9
-# Without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters
-# to nobody.
+# Without noise the SFR of a lens and a pixel does not rise; 0.02 is left for negligible shading.
 _MAX_SFR = 1.02
 _LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
 # A side that clips keeps the codes below its top: more pixels have the top code than noise as on
@@ -546,11 +545,11 @@ def _find_green(data: Array, channel: str, start: tuple[int, int]) -> list[tuple
         raise invalid(setting("channel"), got, "row,column", hint)
 
     places = " and ".join(f"{row},{column}" for row, column in green)
-    words = (
+    text = (
         f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2"
         " pixels"
     )
-    warn(Note("file_as_read", words=f"{words}, which agree with each other"))
+    warn(Note("file_as_read", words=f"{text}, which agree with each other"))
     return list(green)
 
 
@@ -685,11 +684,11 @@ def _contrast(channels: Sequence[_WeightedChannel]) -> float:
 
     below = -min(low, high) / abs(high - low)
     if below > _MAX_BELOW_BLACK:
-        words = (
+        text = (
             f"the dark side is below black by {percent(below, 1)} of the step: the black level is"
             " too high for the contrast"
         )
-        warn(Note("edge_picture", words=words))
+        warn(Note("edge_picture", words=text))
 
     return float(contrast)
 
@@ -712,8 +711,8 @@ def _balanced_channels(channels: list[_WeightedChannel]) -> list[_WeightedChanne
         return channels
     sides = [_side_means(channel.grids) for channel in channels]
     low, high = (
-        sum(channel.weight * side[at] for channel, side in zip(channels, sides, strict=True))
-        for at in (0, 1)
+        sum(channel.weight * side[index] for channel, side in zip(channels, sides, strict=True))
+        for index in (0, 1)
     )
     return [
         _WeightedChannel(
@@ -744,7 +743,7 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
         sides = [_sampled_rows(side) for side in _outer_columns(grid.data)]
         dark, light = sorted(sides, key=np.mean)
         step = abs(float(light.mean() - dark.mean()))
-        if clipping := _clipping_words("bright", light, dark, step):
+        if clipping := _clipping_text("bright", light, dark, step):
             if not is_unclipped:
                 hint = (
                     "Use less light. If these values are right, state a --saturation above them"
@@ -756,18 +755,19 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
                     "noise on both sides, or on neither: this is clipped, which sharpens the edge",
                     hint,
                 )
-            words = f"{clipping}, as if it were clipped: {_SHARPENS}"
-            warn(Note("edge_picture", words=words))
+            text = f"{clipping}, as if it were clipped: {_SHARPENS}"
+            warn(Note("edge_picture", words=text))
 
-        if clipping := _clipping_words("dark", dark, light, step):
-            words = f"{clipping}, as if it were clipped at black: {_SHARPENS}"
-            warn(Note("edge_picture", words=words))
+        if clipping := _clipping_text("dark", dark, light, step):
+            text = f"{clipping}, as if it were clipped at black: {_SHARPENS}"
+            warn(Note("edge_picture", words=text))
 
 
-def _clipping_words(
+def _clipping_text(
     name: Literal["bright", "dark"], side: Array, other_side: Array, step: float
 ) -> str:
-    """Say that more pixels of a side have its outermost code than noise explains; empty if not so.
+    """Return a description of a side with more pixels at its outermost code than noise explains, or
+    an empty text.
 
     step : difference of the sides' means
     """
@@ -825,8 +825,8 @@ def _check_kinks(
     ]
     if not any(clipped) or max(kinks) < _MIN_KINK_RATIO * min(kinks):
         if all(clipped):
-            words = f"a kink at both sides, which no lens leaves and clipping does: {_SHARPENS}"
-            warn(Note("edge_picture", words=words))
+            text = f"a kink at both sides, which no lens leaves and clipping does: {_SHARPENS}"
+            warn(Note("edge_picture", words=text))
         return
 
     index = int(np.argmax(kinks))
@@ -1091,12 +1091,12 @@ def _warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: i
     misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
     if misfit > _MAX_MISFIT_PX * spacing and scatter**2 > _MIN_MISFIT_RATIO * noise**2:
         loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
-        words = (
+        text = (
             f"the edge is no polynomial of degree {degree}: its rows scatter about it by"
             f" {misfit:.2g} px (RMS), which lowers the SFR at Nyquist by about {percent(loss)};"
             " take a region in which it is even"
         )
-        warn(Note("edge_region", words=words))
+        warn(Note("edge_region", words=text))
 
 
 def _distance_from_edge(grid: _ChannelGrid, fit: _EdgeFit) -> Array:
@@ -1372,11 +1372,9 @@ def _warn_of_curve(edge: EdgeResponse) -> None:
             continue
         index = int(np.flatnonzero(in_range)[edge.sfr[in_range].argmax()])
         low, high = edge.sfr_interval[:, index]
-        words = (
-            f"{cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[index]:.3f} cy/px; "
-        )
-        words += f"the noise leaves {low:.3g} to {high:.3g}"
-        warn(Note("edge_picture", words=words))
+        text = f"{cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[index]:.3f} cy/px; "
+        text += f"the noise leaves {low:.3g} to {high:.3g}"
+        warn(Note("edge_picture", words=text))
 
 
 def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
@@ -1398,12 +1396,12 @@ def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None
     step = abs(float(spread[sides[1]].mean() - spread[sides[0]].mean()))
     change = (slopes[1] - slopes[0]) * half_px
     if abs(change) > max(_MAX_SHADING * step, _SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
-        words = (
+        text = (
             f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the"
             f" step within {half_px:.3g} px, which the SFR takes for blur or sharpening at low"
             " frequency; correct the picture with a flat field, or take a smaller region"
         )
-        warn(Note("edge_region", words=words))
+        warn(Note("edge_region", words=text))
 
 
 def _warn_of_correlation(
@@ -1429,11 +1427,11 @@ def _warn_of_correlation(
             correlations.append(float(products.mean() / (noise[beside] ** 2).mean()))
 
     if correlations and max(correlations) > _MAX_CORRELATION:
-        words = (
+        text = (
             f"the noise of neighbouring pixels is correlated ({max(correlations):.2f}), as after"
             " demosaicking, denoising or scaling: the intervals are too narrow"
         )
-        warn(Note("edge_picture", words=words))
+        warn(Note("edge_picture", words=text))
 
 
 # Of what a file states about a picture.
@@ -1478,11 +1476,11 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
-        words = (
+        text = (
             f"'{path}' states an encoding for displays ({metadata[ENCODING]}): the SFR is that of"
             " light only if the values are linear in it"
         )
-        warn(Note("file_as_read", words=words))
+        warn(Note("file_as_read", words=text))
 
     rgb = None
     if data.ndim == 3:
@@ -1519,11 +1517,11 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
 
     saturated = stated_number(metadata, "saturated_fraction")
     if saturated > _MAX_SATURATED:
-        words = (
+        text = (
             f"'{path}' states {percent(saturated, 1)} saturated pixels, which need not be at the"
             " top code and may lie beside it"
         )
-        warn(Note("edge_picture", words=f"{words}: {_SHARPENS}"))
+        warn(Note("edge_picture", words=f"{text}: {_SHARPENS}"))
 
     bits = numbers.get("bits")
     if bits is None and is_image and data.dtype == np.uint16:
