@@ -87,7 +87,7 @@ STUDY = pixsim.Study.model_validate(
 )  # fmt: skip
 XYZ = np.full((4, 4, 3), 50.0)
 PLANE = np.ones((4, 4))
-EDGE = 1 / (1 + np.exp(30 - np.arange(64) + np.arange(64)[:, None] * 0.1))
+RATIO_ROUNDING = 1 / (1 + np.exp(30 - np.arange(64) + np.arange(64)[:, None] * 0.1))
 EDGES = np.linspace(0.0, 2713.6, 9)
 
 
@@ -113,7 +113,7 @@ def sensor_table() -> Any:
 
 @cache
 def edge() -> Any:
-    return pixsim.edge_response(EDGE)
+    return pixsim.edge_response(RATIO_ROUNDING)
 
 
 # Valid arguments by name; of some functions, by name and argument.
@@ -154,7 +154,7 @@ GOOD: dict[str, Any] = {
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.score_pictures.image": PLANE,
-    "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sfr.image": "edge.npy",
+    "pixsim.edge_response.picture": lambda: RATIO_ROUNDING, "pixsim.sfr.image": "edge.npy",
     "pixsim.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
     "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
     "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.design.pixel_of.technology": "0.35um",
@@ -177,7 +177,7 @@ OWN: dict[str, Any] = {
     "pixsim.metrics.relative_edge_response.frequency_cy_per_px": np.array([0.0, 0.5, 1.0]),
     **dict.fromkeys((f"pixsim.metrics.{name}.frequency_cy_per_mm" for name in (
         "information_bits_per_mm2", "folded_spectrum")), np.linspace(-50.0, 50.0, 5)),
-    **dict.fromkeys((f"pixsim.metrics.{name}.picture" for name in ("edge_mtf", "radial_spectrum")), EDGE),
+    **dict.fromkeys((f"pixsim.metrics.{name}.picture" for name in ("edge_mtf", "radial_spectrum")), RATIO_ROUNDING),
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.
@@ -370,7 +370,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The files of `GOOD` in the working folder."""
     monkeypatch.chdir(tmp_path)
     pixsim.write_exr("a.exr", LIGHT)
-    np.save("edge.npy", EDGE)
+    np.save("edge.npy", RATIO_ROUNDING)
     pixsim.write_frame("raw.npz", FRAME)
 
 

@@ -391,9 +391,9 @@ def _title_wavelength_unit(title: str, path: Path, allowed: str) -> str:
 def wavelength_unit(text: str) -> str:
     """Return the symbol of the unit of wavelength in a text; empty without a unit.
 
-    >>> unit_of_wavelength("wavelength_nm"), unit_of_wavelength("Micrometers")
+    >>> wavelength_unit("wavelength_nm"), wavelength_unit("Micrometers")
     ('nm', 'µm')
-    >>> unit_of_wavelength("λ (A)")
+    >>> wavelength_unit("λ (A)")
     'Å'
     """
     if len(text) > MAX_TITLE:

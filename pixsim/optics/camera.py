@@ -170,8 +170,9 @@ class Camera(Record):
         return self
 
     def _corner_within(self, name: str, rows: ChiefRayAngles) -> float:
-        """Return the image height of the die's corner in mm. ValueError if rows against image
-        height end before it.
+        """Return the image height of the die's corner in mm.
+
+        Raises ValueError if rows of image height end before it.
         """
         corner_mm = math.hypot(self.die_mm, self.height_mm) / 2
         farthest_mm = rows[-1][0]
@@ -185,14 +186,14 @@ class Camera(Record):
         return corner_mm
 
     def _angles_within(self, height_mm: float) -> list[tuple[float, float]]:
-        """The rows of chief ray angles up to a height, and the angle there."""
+        """Return (height, angle) rows up to a height, ending with the interpolated angle there."""
         rows = [(row[0], row[1]) for row in self.chief_ray_angle or ()]
         within = [row for row in rows if row[0] <= height_mm]
         if len(within) < len(rows):
-            (low, low_deg), (high, high_deg) = within[-1], rows[len(within)]
-            within.append(
-                (height_mm, low_deg + (high_deg - low_deg) * (height_mm - low) / (high - low))
-            )
+            low_mm, low_deg = within[-1]
+            high_mm, high_deg = rows[len(within)]
+            slope = (high_deg - low_deg) * (height_mm - low_mm) / (high_mm - low_mm)
+            within.append((height_mm, low_deg + slope))
         return within
 
     @property
@@ -260,9 +261,9 @@ class Camera(Record):
     @property
     def without_veil(self) -> Camera:
         """This camera without veiling glare, on which no render and no blur depends."""
-        return (
-            self.model_copy(update=dict.fromkeys(_VEIL_FIELDS, 0.0)) if self.veiling_glare else self
-        )
+        if not self.veiling_glare:
+            return self
+        return self.model_copy(update=dict.fromkeys(_VEIL_FIELDS, 0.0))
 
     def with_light_of(self, chosen: LensOptions) -> Camera:
         """This camera with the veil and the fall-off of options of a lens; fields without an option
@@ -355,9 +356,9 @@ class Camera(Record):
                 "window_mm", f"{width_mm:g}", f"at most the width of the die, {self.die_mm:g}"
             )
 
-        height_mm = (
-            None if self.die_height_mm is None else self.die_height_mm * width_mm / self.die_mm
-        )
+        height_mm = None
+        if self.die_height_mm is not None:
+            height_mm = self.die_height_mm * width_mm / self.die_mm
         return self.model_copy(update={"die_mm": width_mm, "die_height_mm": height_mm})
 
     @classmethod
@@ -392,8 +393,9 @@ _DIE_DIGITS = 9  # of a die in mm: 1 pm, so that 2448 × 3.45 µm is 8.4456 mm
 
 
 def _as_pixel_count(value: object) -> object:
-    """Columns and rows, from numbers or from text as in `2448x2048`. ValueError if it is not a
-    pair.
+    """Return columns and rows, from numbers or from text such as `2448x2048`.
+
+    Raises ValueError if the value is not a pair.
     """
     pair = value
     if isinstance(value, str):
@@ -478,8 +480,9 @@ class CameraOptions(Record):
         )
 
     def with_die(self, pitch_um: Positive | None) -> CameraOptions:
-        """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs
-        by more than half a pixel.
+        """Return these options with the die of `pixels` at a pitch (µm).
+
+        Raises ValueError if a stated die differs by more than half a pixel.
         """
         if self.pixels is None:
             return self

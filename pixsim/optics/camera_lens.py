@@ -61,7 +61,7 @@ _CHIEF_RAYS = 129
 _CIRCLE_STEP = 0.99
 _CIRCLE_STEPS = 400
 # Of the corner's height, so that the last row does not end before it.
-_BEYOND = 1e-6
+_CORNER_MARGIN = 1e-6
 # Of the light on the axis: towards the end of an image circle pupils shrink to nothing.
 _MIN_ILLUMINATION = 0.3
 
@@ -280,8 +280,8 @@ def _chief_rays(
 
     circle_mm, angle_deg, _ = rows[-1]
     if circle_mm < corner_mm:
-        step_mm = _BEYOND * corner_mm
-        end_mm = max(corner_mm, circle_mm + 2 * step_mm) * (1 + _BEYOND)
+        step_mm = _CORNER_MARGIN * corner_mm
+        end_mm = max(corner_mm, circle_mm + 2 * step_mm) * (1 + _CORNER_MARGIN)
         rows.append((circle_mm + step_mm, angle_deg, 0.0))
         rows.append((end_mm, angle_deg, 0.0))
     return tuple(rows)
@@ -297,7 +297,7 @@ def field_angles(
     lens = traced_lens(traced, object_distance_m)
     nm = lens.primary_nm
     try:
-        largest_deg = lens.field_of_height(corner_mm * (1 + _BEYOND), nm)
+        largest_deg = lens.field_of_height(corner_mm * (1 + _CORNER_MARGIN), nm)
     except PixsimError:  # the image circle ends before the corner
         largest_deg = math.degrees(math.atan(corner_mm / lens.paraxial_height_mm))
 
@@ -354,9 +354,7 @@ class Distortion:
 
     @property
     def widening(self) -> float:
-        """By how much the sides of a picture without distortion are longer, so that it fills the
-        die.
-        """
+        """Side of the undistorted picture that fills the die, over the side of the die."""
         return max(1.0, float((self.undistorted_mm[1:] / self.height_mm[1:]).max()))
 
     @property
@@ -365,8 +363,9 @@ class Distortion:
         return float(np.abs(self.undistorted_mm - self.height_mm).max())
 
     def applied(self, picture: Picture, pitch_um: float, widening: float) -> Array:
-        """Return a picture (H, W) of pitch · widening, without distortion, as the lens shows it
-        with the pitch, (H, W).
+        """Return the distorted picture (H, W) of a picture without distortion.
+
+        pitch_um : of the result; the samples of the picture are `widening` times as large
         """
         return _resampled(
             picture,
@@ -377,10 +376,10 @@ class Distortion:
         )
 
     def removed(self, picture: Picture, pitch_um: float) -> Array:
-        """Return a picture that the lens shows, (H, W), without distortion; what it does not show
-        goes on as its sides.
+        """Return a distorted picture, (H, W), without distortion.
 
-        It keeps the scale of the lens's image on the axis.
+        Points outside of the lens's image repeat the values at its sides. The scale of the image on
+        the axis stays.
         """
         straight_mm = self.image_scale * self.undistorted_mm
         inverse = _odd_spline(straight_mm, self.height_mm)
@@ -394,8 +393,10 @@ def _resampled(
     max_height_mm: float,
     widening: float,
 ) -> Array:
-    """Return a picture, means over cells of pitch · widening, whose points come from other
-    distances from the axis, as such means.
+    """Return a picture whose points come from other distances from the axis.
+
+    Its samples, and those of the source, are means over cells; cells of the source are `widening`
+    times as large.
 
     The spline rings at edges, also below zero. That is part of what a lens and pixels see with the
     right contrast: only pixels may end at zero.
@@ -492,7 +493,7 @@ def moved_error(distortion: Distortion, pitch_um: float, frequency: NDArray[np.f
 
 
 @lru_cache(maxsize=16)
-def distortion_of(camera: Camera) -> Distortion | None:
+def camera_distortion(camera: Camera) -> Distortion | None:
     """Return the distortion of a camera's real lens over its die, or None for a thin lens."""
     if camera.lens is None:
         return None
@@ -507,8 +508,8 @@ def distortion_of(camera: Camera) -> Distortion | None:
 
 
 def without_lens(camera: Camera) -> Camera:
-    """Return the thin lens that stands for a camera's real one: of its image distance and f-number;
-    a thin lens as it is.
+    """Return a camera whose thin lens of the same image distance and f-number stands for its real
+    lens.
     """
     if camera.lens is None:
         return camera
@@ -519,7 +520,7 @@ def rendered_camera(camera: Camera) -> Camera:
     """Return the thin lens through which the scene is rendered, with a film that is as large as die
     and distortion need.
     """
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     if distortion is None:
         return camera
     die = {"die_mm": camera.die_mm * distortion.widening}
@@ -577,7 +578,7 @@ def fitted_wavefronts(
             return _wavefronts(camera, wavelengths_nm, np.linspace(0.0, end_mm, nodes))
         except PixsimError:  # the image circle of one of the wavelengths ends before
             end_mm *= _CIRCLE_STEP
-            if end_mm < farthest_mm / 2:  # no, something else
+            if end_mm < farthest_mm / 2:  # the error has another cause
                 raise
 
 
@@ -667,8 +668,9 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
 def _traced_wavelengths(
     camera: Camera, wavelength_nm: Array, weight: Array, count: int
 ) -> tuple[Array, Array]:
-    """Return `few_wavelengths`; light beyond the wavelengths for which the lens's glasses are known
-    counts as at their ends.
+    """Return `few_wavelengths` of light that a lens transmits.
+
+    Light beyond the range in which all of its glasses are known counts at the ends of that range.
     """
     assert camera.lens is not None
     lens = traced_lens(camera.lens, camera.object_distance_m)
@@ -698,7 +700,7 @@ def thin_lens_error(
     differs from Foote's; and blur differs from the thin lens's diffraction, as `picture_error` has
     it.
     """
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     rows = camera.chief_ray_angle
     assert distortion is not None
     assert rows is not None
@@ -777,7 +779,7 @@ _DARK_CELLS = 512
 def _light_key(
     camera: Camera, tiling: Tiling, wavelength_nm: Array, weight: Array, transfer: _Transfer
 ) -> list[object]:
-    """Return all that the PSFs of a light depend on but the film."""
+    """Return everything that the PSFs of a light depend on, except for the film."""
     nm, share = _traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
     transfer_values = []
     if transfer is not None:
@@ -793,7 +795,7 @@ def _light_key(
     ]
 
 
-def psfs_of(
+def camera_psfs(
     camera: Camera,
     shape: tuple[int, int],
     pitch_um: float,
@@ -802,8 +804,9 @@ def psfs_of(
     weight: Array,
     transfer: _Transfer = None,
 ) -> RadialPsfs:
-    """Return the PSFs of a light for the tiles of a film; all films that are not much coarser than
-    the lens have the same.
+    """Return the PSFs of a light for the tiles of a film, from the cache if there are any.
+
+    Films that are not much coarser than the lens share them.
     """
     cell_um = resolving_um(channel_wavefronts(camera, wavelength_nm, weight, tiling))
     if pitch_um > _COARSE_FILM * cell_um:
@@ -831,7 +834,7 @@ def psfs_of(
     return psfs
 
 
-def blur_of(
+def camera_blur(
     camera: Camera,
     shape: tuple[int, int],
     pitch_um: float,
@@ -840,9 +843,7 @@ def blur_of(
     weight: Array,
     transfer: _Transfer = None,
 ) -> FieldBlur:
-    """Return the blur of a camera's real lens; its PSFs come from the cache, and the last blurs are
-    remembered.
-    """
+    """Return the blur of a camera's real lens, from the last blurs or the cache if it is there."""
     light_key = _light_key(camera, tiling, wavelength_nm, weight, transfer)
     key = content_hash([*light_key, shape, pitch_um, cache.version_fingerprint()])
     if key in _BLURS:
@@ -854,7 +855,7 @@ def blur_of(
     if stored is not None:
         blur = blur_from_arrays(stored, shape, pitch_um, spacing, cells)
     if blur is None:
-        psfs = psfs_of(camera, shape, pitch_um, tiling, wavelength_nm, weight, transfer)
+        psfs = camera_psfs(camera, shape, pitch_um, tiling, wavelength_nm, weight, transfer)
         blur = field_blur(psfs, shape, pitch_um, spacing, cells)
         cache.store_arrays("psfs", key, blur.as_arrays())
 
@@ -864,10 +865,10 @@ def blur_of(
     return blur
 
 
-def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
-    """Return how the blur of a picture is computed, as its header has it, or None for a thin lens.
+def image_tiling(image: SpectralImage, camera: Camera) -> Tiling | None:
+    """Return how the blur of a picture is computed, from its header, or None for a thin lens.
 
-    A picture from elsewhere has what `choose_tiling` chooses for uniform light and
+    A picture of another program has the choice of `choose_tiling` for uniform light and
     `_USUAL_TOLERANCE`.
     """
     if camera.lens is None:
@@ -891,9 +892,7 @@ def tiling_of(image: SpectralImage, camera: Camera) -> Tiling | None:
 
 
 def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
-    """Return the tiling of a header. Raises PixsimError if it is damaged, or if it would take
-    forever.
-    """
+    """Return the tiling of a header. Raises PixsimError if it is damaged, or far too fine."""
     max_tiles = 2 * _TILE_COUNTS[-1]
     max_cells = 2 * _PSF_SIDES[-1]
     try:
@@ -933,7 +932,7 @@ def lens_mtf(
 
     weight : of the image's bands, (B,), 0 or more
     """
-    tiling = tiling_of(image, camera)
+    tiling = image_tiling(image, camera)
     if tiling is None or not tiling.psf_um:
         return None
 
@@ -989,10 +988,10 @@ def ideal_light(image: SpectralImage, camera: Camera) -> SpectralImage:
     """Return the light of the ideal image: on the sensor, or without distortion where
     `LensOptions.ideal` asks for it.
     """
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     if camera.lens is None or distortion is None or camera.lens.ideal == "distorted":
         return image
-    if tiling_of(image, camera) is None:
+    if image_tiling(image, camera) is None:
         return image
     planes = [np.float32(distortion.removed(plane, image.pitch_um)) for plane in image.planes]
     return image.with_planes(np.stack(planes))
@@ -1008,8 +1007,7 @@ def choose_tiling(
     aperture_um: float,
     tolerance: float,
 ) -> Tiling:
-    """Return the fewest wavelengths, nodes and tiles and the smallest PSFs within the tolerance;
-    the finest ones if none is.
+    """Return the tiling of least work within the tolerance, or the finest tiling if none is.
 
     shape, pitch_um : (H, W) and cells of the film
     wavelength_nm, weight : (B,), of the light
@@ -1172,7 +1170,7 @@ def _tiling_without_blur(points: _TestPoints, light: ChannelWavefronts) -> Tilin
             is_outside = np.abs(misses_um).max(axis=-1) > pitch_um / 2
             outside_share[index] += share * np.mean(is_outside)
 
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     assert distortion is not None
     relative_error = moved_error(distortion, pitch_um, frequency_y * pitch_um)
     without_blur = 1 + relative_error[:, : frequency_x.size] + 0j
@@ -1252,7 +1250,7 @@ def _cut_psf(transform: NDArray[np.complex128], cells: int) -> Psf:
 
 def _distortion_error(points: _TestPoints, exact: NDArray[np.complex128]) -> float:
     """Return the error of a picture whose details `Distortion.applied` moves."""
-    distortion = distortion_of(points.camera)
+    distortion = camera_distortion(points.camera)
     assert distortion is not None
     window, columns = exact.shape[-2:]
     cycles_per_film_cell = np.fft.fftfreq(window) / points.bins
@@ -1282,7 +1280,7 @@ def _with_fewest_tiles(
     while True:
         spacing = max(_MIN_SPACING, round(max(points.shape) / count))
         tiling = replace(tiling, spacing_um=spacing * points.pitch_um)
-        psfs = psfs_of(
+        psfs = camera_psfs(
             points.camera,
             points.shape,
             points.pitch_um,

@@ -47,7 +47,7 @@ class _RealLens:
 
 @dataclass(frozen=True)
 class CameraPupil:
-    """The pupil of a camera as points of its sensor see it; hashable.
+    """The pupil of a camera, seen from points of its sensor; hashable.
 
     f_number : nominal, for focus at infinity
     image_distance_um : from the lens to the sensor; infinite for a pupil that is the same
@@ -159,8 +159,8 @@ def camera_factor(
         1e-3 * pitch_um * ((np.arange(n) + 0.5) - n / 2)[span]
         for n, span in zip(shape, part, strict=True)
     )
-    curve = (
-        camera.relative_illumination if camera.fall_off is None else dense_fall_off(camera.fall_off)
-    )
+    curve = camera.relative_illumination
+    if camera.fall_off is not None:
+        curve = dense_fall_off(camera.fall_off)
     relative = np.interp(np.hypot(x_mm, y_mm[:, None]), *curve)
     return np.asarray(relative * irradiance_factor(camera.f_number, 0.0, camera.magnification))

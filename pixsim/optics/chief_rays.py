@@ -119,8 +119,8 @@ def _read_heights(
 
 
 def _chief_ray_column(title: str) -> str:
-    """Return the name of the column of `_CHIEF_RAY_COLUMNS` that a title states with its unit, as
-    Image height (mm); else the title.
+    """Return the column of `_CHIEF_RAY_COLUMNS` that a title such as "Image height (mm)" names, or
+    the title in lower case.
     """
     height, angle, illumination = _CHIEF_RAY_COLUMNS
     plain = title.lower()
@@ -192,7 +192,7 @@ def _check_relative(value: float, number: int, source: str) -> None:
 
 
 def _check_heights(rows: ChiefRayAngles, source: str) -> None:
-    """Raise ValueError if image heights do not increase, or if one is out of all proportion."""
+    """Raise ValueError if image heights do not increase, or if one is out of bounds."""
     for (low_mm, *_), (high_mm, *_) in pairwise(rows):
         if not low_mm < high_mm:
             raise ValueError(

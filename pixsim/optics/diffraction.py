@@ -152,8 +152,8 @@ def diffract_sums(
     f_number: FNumberOrPinhole | None,
     transfer: Callable[[Array, float], Array] | None = None,
 ) -> list[Array]:
-    """Return `diffract_sum` for several channels, [(H, W)] each, of one forward transform per
-    picture and an inverse one each.
+    """Return `diffract_sum` for several channels, [(H, W)], with one forward transform per picture
+    and one inverse transform per channel.
 
     pictures : (picture (H, W), weights [(B,)] of each channel) pairs, in any unit
     channels : their number

@@ -41,13 +41,13 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.lens_options import LensOptions
 
 ALLOWED_NM = (300.0, 1200.0)  # where glass transmits and silicon responds
-_GIVEN = Path("the light that is given")
+_NO_FILE = Path("the light that is given")
 _PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
 _WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
-# of the brightest band's mean: sums of fitted factors may fall a little below zero where a lamp is
-# dark
-_MOST_NEGATIVE = 0.01
+# Of the brightest band's mean: sums of fitted factors may fall a little below zero where a lamp is
+# dark.
+_MAX_NEGATIVE_SHARE = 0.01
 
 
 def read_irradiance(
@@ -120,7 +120,7 @@ def read_with_camera(
 
 
 def camera_of_light(
-    image: SpectralImage, options: CameraOptions, lens: LensOptions, path: Path = _GIVEN
+    image: SpectralImage, options: CameraOptions, lens: LensOptions, path: Path = _NO_FILE
 ) -> Camera:
     """Return the camera in the header of light, overridden by the options.
 
@@ -188,15 +188,15 @@ def _from_cube(
     if outliers := find_outliers(data @ width_nm):
         header[OUTLIERS] = [list(sample) for sample in outliers]
         row, column = outliers[0]
-        sample_words = f"row {row}, column {column}"
+        samples_text = f"row {row}, column {column}"
         if len(outliers) > 1:
-            sample_words += f" and {len(outliers) - 1} more"
-        words = (
+            samples_text += f" and {len(outliers) - 1} more"
+        warning_text = (
             f"has isolated samples, more than {OUTLIER:g} times all others"
-            f" ({sample_words}), as fireflies of a path tracer do: the automatic exposure is as if"
+            f" ({samples_text}), as fireflies of a path tracer do: the automatic exposure is as if"
             " they were like their neighbours. Remove them at their source"
         )
-        warn(Note("light_file", file=path.name, words=words))
+        warn(Note("light_file", file=path.name, words=warning_text))
 
     _note_bands(path, nm, width_nm)
 
@@ -212,12 +212,12 @@ def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
     if nm.size > 1 and width_nm.max() > _WIDE_BAND_NM:
         low = nm[0] - width_nm[0] / 2
         high = nm[-1] + width_nm[-1] / 2
-        words = (
+        text = (
             f"has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g}"
             " nm, with the light uniform within each and none outside. Colour and quantum"
             f" efficiency need bands of {_WIDE_BAND_NM:g} nm or less"
         )
-        warn(Note("light_file", file=path.name, words=words))
+        warn(Note("light_file", file=path.name, words=text))
 
 
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
@@ -260,12 +260,12 @@ def _read_pixsim_exr(
     _agreed_pitch(path, image.pitch_um, pitch_um, camera, image.shape[1])
     if reduced := image.header.get("reduced"):
         factor = f"{reduced['factor']:.4g}"
-        words = (
+        text = (
             f"holds means over {factor} × {factor} samples of the render, {image.pitch_um:.4g} µm"
             " wide: what is finer is lost, and results differ; pixsim run --irradiance full"
             " keeps it"
         )
-        warn(Note("light_file", file=path.name, words=words))
+        warn(Note("light_file", file=path.name, words=text))
 
     # Check the pictures of the factors: a band that is made of them may be slightly below zero, as
     # may be what rings.
@@ -284,7 +284,7 @@ def _read_pixsim_exr(
         # Single samples are below zero by the noise of a render, whose factors are independent.
         mean = image.factors[0].T @ image.factors[1].mean(axis=(1, 2), dtype=float)
         darkest = int(mean.argmin())
-        if mean[darkest] < -_MOST_NEGATIVE * np.abs(mean).max():
+        if mean[darkest] < -_MAX_NEGATIVE_SHARE * np.abs(mean).max():
             got = (
                 f"a mean of {mean[darkest]:.3g} W/m²/nm in the band at"
                 f" {image.wavelength_nm[darkest]:g} nm"

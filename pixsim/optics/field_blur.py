@@ -139,10 +139,10 @@ class FittedWavefronts:
         return spline
 
     def at(self, height_um: float) -> Array:
-        """Return the numbers at a distance from the axis; beyond the last wavefront, up to one step
-        between two of them.
+        """Return the numbers of the wavefront at a distance from the axis.
 
-        Where an image circle ends the pupil shrinks: there, the last wavefront holds beyond it.
+        They are extrapolated by up to one step beyond the last wavefront. Where the pupil shrinks
+        there, at the end of an image circle, the last wavefront holds.
         """
         end_um = float(self.height_um[-1])
         step_um = end_um - float(self.height_um[-2]) if self.height_um.size > 1 else 0.0
@@ -153,8 +153,8 @@ class FittedWavefronts:
         return numbers
 
     def misses_um(self, height_um: float) -> Array:
-        """Return how far rays that fill the pupil evenly land from the point of the field, (n, 2):
-        sagittal and radial.
+        """Return the transverse aberrations of rays that fill the pupil uniformly, (n, 2): sagittal
+        and radial.
         """
         numbers = self.at(height_um)
         exponents = powers()
@@ -240,7 +240,8 @@ def least_squares(terms: Array, values: Array) -> tuple[Array, Array]:
 
     Modified Gram-Schmidt steps, with the values as a last column, are as stable as Householder's
     (Björck, BIT 7 (1967) 1). BLAS shares such small matrices between threads, which takes a hundred
-    times as long, and rounds as their number has it. A term that others make up has no coefficient.
+    times as long, and rounds differently for each number of threads. A term that is a combination
+    of others has no coefficient.
     """
     columns = np.concatenate([terms, values[None]])
     count = len(terms)
@@ -583,7 +584,7 @@ def _intensity(pupil: NDArray[np.complex64], fine: int, rows: int) -> NDArray[np
 
 
 def _low_frequencies(intensity: NDArray[np.float32], last: int) -> NDArray[np.complexfloating]:
-    """Return the transform (2 most + 1, most + 1) of a PSF up to `last` periods.
+    """Return the transform (2 last + 1, last + 1) of a PSF up to `last` periods.
 
     intensity : (n, n), or its first rows (n // 2 + 1, n) if the PSF is even
     """
@@ -823,8 +824,9 @@ class RadialPsfs:
     def blurred(
         self, films: Sequence[tuple[Array, float]], x_um: float, y_um: float
     ) -> list[Array]:
-        """Return light on films of one window, spread by the PSF of one image point all over it; it
-        repeats, and none is lost.
+        """Return light on films of one window, convolved with the PSF of a single image point.
+
+        The window repeats, so that no light is lost.
 
         films : light (H, W) and the pitch in µm of its cells; all have their frequencies from one
             spectrum
@@ -878,11 +880,11 @@ def _b_spline_weights(fraction: NDArray[np.float32]) -> NDArray[np.float32]:
 
     fraction : of the step from the second to the third of them, 0 to 1
     """
-    rest = 1 - fraction
+    remainder = 1 - fraction
     weights = [
-        rest**3,
+        remainder**3,
         4 - 3 * fraction**2 * (2 - fraction),
-        4 - 3 * rest**2 * (2 - rest),
+        4 - 3 * remainder**2 * (2 - remainder),
         fraction**3,
     ]
     return np.asarray(weights, np.float32) / np.float32(6)
@@ -1020,12 +1022,11 @@ class FieldBlur:
         return max(psf.tail_share for psf in self.psfs.values())
 
     def superposed(self, picture: Array) -> tuple[Array, Array]:
-        """Return a picture of `shape` with the light of each sample spread by its PSF, (H + cells -
-        1, W + cells - 1), and what of the light of each sample falls beyond the PSFs, (H, W).
-        Nothing is lost at the sides.
+        """Return the light of a picture of `shape` spread by the PSFs, and its share beyond them.
 
-        Transforms are in single precision, 1e-7 of a tile's light; what they gain or lose in all is
-        given back evenly.
+        The spread light, (H + cells - 1, W + cells - 1), loses nothing at the sides; the share of
+        each sample beyond the PSFs is (H, W). Transforms are in single precision, 1e-7 of a tile's
+        light; the rounding of the total is corrected uniformly.
         """
         top, left = self._cells_before
         spread = self._sum_of_tiles(np.pad(picture.astype(np.float32), [(top, top), (left, left)]))
@@ -1217,11 +1218,12 @@ class FieldBlur:
         }
 
     def blurred(self, picture: Array, margin: int = 0) -> Array:
-        """Return an irradiance (H, W) without blur as the lens shows it; `shape` is larger by half
-        a PSF at each side.
+        """Return the blurred picture of an irradiance (H, W).
 
-        margin : samples of the picture at each side that are known beyond it; it goes on by
-            reflection
+        `shape` is larger by half a PSF at each side.
+
+        margin : samples at each side of the picture that lie beyond the result; further out the
+            picture is reflected
 
         A uniform scene keeps the fall-off that it has in the picture: what a point of the image
         receives from it depends on the pupil alone. The last result is remembered, and not to be
@@ -1235,10 +1237,10 @@ class FieldBlur:
 
     @cached_property
     def flat_field(self) -> NDArray[np.float32]:
-        """What becomes of a uniform picture: where the mean shift of PSFs grows along the field,
-        they move apart.
+        """The blurred picture of a uniform one, which is not uniform where the mean shift of PSFs
+        changes along the field.
 
-        All windows have the same light: none from beyond the picture reaches it.
+        All windows have the same light, without any from beyond the picture.
         """
         if self.cached_flat_field is not None:
             return self.cached_flat_field
@@ -1451,9 +1453,7 @@ def _veil(pitch_um: float, cells: int, window: int) -> Array:
 def psfs_between_tiles(
     psfs: RadialPsfs, x_um: float, y_um: float, pitch_um: float, spacing: float, cells: int
 ) -> list[tuple[float, Psf]]:
-    """Return weights and PSFs of the sixteen tiles around an image point that is as far from them
-    as can be.
-    """
+    """Return weights and PSFs of the sixteen tiles around an image point halfway between tiles."""
     offsets = list(product((-1.5, -0.5, 0.5, 1.5), repeat=2))  # in tiles
     places_um = [(x_um + x * spacing * pitch_um, y_um + y * spacing * pitch_um) for x, y in offsets]
     weights = [float(_cubic_weights(x) * _cubic_weights(y)) for x, y in offsets]

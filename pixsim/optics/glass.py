@@ -65,8 +65,8 @@ class Glass:
     coefficients : of the formula, for wavelengths in µm
     range_um : shortest and longest wavelength
     source : of the coefficients
-    shift : A and B in µm² of A + B/λ², which is added to n: a glass that its maker's melt differs
-        from
+    shift : A and B in µm² of A + B/λ², which is added to n for a melt that differs from the data
+        sheet
     """
 
     name: str
@@ -309,10 +309,8 @@ def shifted(glass: Glass, n_d: float, v_d: float) -> Glass:
     )
 
 
-def _maker_of(listed: str, makers: Sequence[str]) -> str | None:
-    """Return the maker among `makers` that a catalogue is of, by its name in a file, as
-    SCHOTT_2017, or None.
-    """
+def _packaged_maker(listed: str, makers: Sequence[str]) -> str | None:
+    """Return the maker, among `makers`, of a catalogue with a name such as SCHOTT_2017, or None."""
     name = listed.upper()
     name = _OTHER_NAMES.get(name, name)
     return next(
@@ -329,15 +327,16 @@ _NAME_BY_PIXSIM = re.compile(rf"{_N_D_AND_V_D}|n = [-+.e\d]{{1,24}}|dispersion f
 
 
 def named(name: str) -> str:
-    """Return the name of a glass for a message: plain words of a file, with the maker before them,
-    and what pixsim adds.
+    """Return the name of a glass for a message, with its maker and what pixsim adds to it.
+
+    Names that are not plain words are not quoted.
 
     >>> named("SCHOTT:N-BK7"), named("a key of mine"), named("N-BK7, n_d +0.001, V_d +0")
     ("'SCHOTT:N-BK7'", 'a text of 13 characters', "'N-BK7, n_d +0.001, V_d +0'")
     """
     match = _NAME_IN_FILE.fullmatch(name)
-    words = (match[1] if match else name).split(":", 1)
-    is_plain = all(map(PLAIN_WORD.fullmatch, words)) or _NAME_BY_PIXSIM.fullmatch(name)
+    parts = (match[1] if match else name).split(":", 1)
+    is_plain = all(map(PLAIN_WORD.fullmatch, parts)) or _NAME_BY_PIXSIM.fullmatch(name)
     return f"'{name}'" if is_plain else excerpt(name)
 
 
@@ -367,24 +366,24 @@ def find_glass(
         return user_glasses[user_names[0]]
 
     glasses = catalogue()
-    names = _full_names(upper_name, glasses)
+    full_names = _full_names(upper_name, glasses)
     has_maker = ":" in upper_name
     if makers and not has_maker:
-        names = _listed_names(name, where, makers, hint, names, numbers)
-    elif not has_maker and len(names) == 1 and _is_shared(upper_name, names[0]):
+        full_names = _listed_names(name, where, makers, hint, full_names, numbers)
+    elif not has_maker and len(full_names) == 1 and _is_shared(upper_name, full_names[0]):
         raise invalid(
             where,
             f"{named(name)}, a name that several makers gave",
-            names[0],
+            full_names[0],
             f"Name the maker. {hint}".strip(),
         )
 
-    if len(names) > 1:
-        raise invalid(where, f"{named(name)}, which several makers offer", ", ".join(names))
-    if not names:
+    if len(full_names) > 1:
+        raise invalid(where, f"{named(name)}, which several makers offer", ", ".join(full_names))
+    if not full_names:
         got = f"the unknown glass {named(name)}"
         raise invalid(where, got, f"the {len(glasses)} glasses of pixsim's table", hint)
-    return glasses[names[0]]
+    return glasses[full_names[0]]
 
 
 def _listed_names(
@@ -392,29 +391,32 @@ def _listed_names(
     where: str,
     makers: Sequence[str],
     hint: str,
-    names: list[str],
+    full_names: list[str],
     numbers: tuple[float, float] | None,
 ) -> list[str]:
-    """Return the full name of a glass by the first of the catalogues of a file that has it, as a
-    list of one name; empty if no maker has it.
+    """Return the full name of a glass in the first catalogue, of those that a file names, that has
+    it: a list of one name, or empty if no maker has it.
 
-    names : full names that the packaged table has for it
+    full_names : full names that the packaged table has for it
 
     The other arguments, the note and the error are as in `find_glass`.
     """
-    listed = [(maker, _maker_of(maker, _PACKAGED_MAKERS)) for maker in makers]
+    listed = [(maker, _packaged_maker(maker, _PACKAGED_MAKERS)) for maker in makers]
     listed_names = [
-        full for _, maker in listed for full in names if full.partition(":")[0] == maker
+        full_name
+        for _, maker in listed
+        for full_name in full_names
+        if full_name.partition(":")[0] == maker
     ]
-    if listed_names or not names:
+    if listed_names or not full_names:
         return listed_names[:1]
 
     # Another maker has the glass: one of the unknown catalogues may have been meant.
     unknown_catalogues = [maker for maker, packaged in listed if packaged is None]
-    glass = catalogue()[names[0]]
+    glass = catalogue()[full_names[0]]
     fits_numbers = numbers is None or _has_numbers(glass, numbers)
-    is_shared = _is_shared(name.strip().upper(), names[0])
-    if len(names) > 1 or not unknown_catalogues or not fits_numbers or is_shared:
+    is_shared = _is_shared(name.strip().upper(), full_names[0])
+    if len(full_names) > 1 or not unknown_catalogues or not fits_numbers or is_shared:
         got = (
             f"{named(name)}, which is not in the catalogues that the file names"
             f" ({', '.join(names_in(makers))})"
@@ -422,38 +424,38 @@ def _listed_names(
         raise invalid(
             where,
             got,
-            ", ".join(names),
+            ", ".join(full_names),
             f"Glasses of one name differ between makers. {hint}".strip(),
         )
 
-    words = (
+    text = (
         f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim"
         f" lacks ({', '.join(names_in(unknown_catalogues))})"
     )
-    warn(Note("lens_as_read", lens=where, words=words))
-    return names[:1]
+    warn(Note("lens_as_read", lens=where, words=text))
+    return full_names[:1]
 
 
 def _full_names(name: str, glasses: Mapping[str, Glass]) -> list[str]:
     """Return the full names of glasses by their full or short name in capitals."""
     if ":" in name:
-        return [full for full in glasses if full.upper() == name]
-    return [full for full in glasses if full.partition(":")[2].upper() == name]
+        return [full_name for full_name in glasses if full_name.upper() == name]
+    return [full_name for full_name in glasses if full_name.partition(":")[2].upper() == name]
 
 
 def _user_names(name: str, glasses: Mapping[str, Glass], makers: Sequence[str]) -> list[str]:
     """Return the full names of a user's glasses by a name, in the order of the catalogues."""
     order = [maker.upper() for maker in makers]
 
-    def rank(full: str) -> int:
-        maker = full.partition(":")[0].upper()
+    def rank(full_name: str) -> int:
+        maker = full_name.partition(":")[0].upper()
         return order.index(maker) if maker in order else len(order)
 
     return sorted(_full_names(name, glasses), key=rank)
 
 
-def _is_shared(name: str, full: str) -> bool:
-    return not full.startswith("SCHOTT:") and _SHARED_NAMES.fullmatch(name) is not None
+def _is_shared(name: str, full_name: str) -> bool:
+    return not full_name.startswith("SCHOTT:") and _SHARED_NAMES.fullmatch(name) is not None
 
 
 def _has_numbers(glass: Glass, numbers: tuple[float, float]) -> bool:
@@ -469,7 +471,7 @@ def _has_numbers(glass: Glass, numbers: tuple[float, float]) -> bool:
 # ----------------------------------------------------------------------------------------------
 
 
-def text_of_file(path: Path, name: str, expected: str, max_bytes: int) -> str:
+def read_zemax_text(path: Path, name: str, expected: str, max_bytes: int) -> str:
     """Return the text of a file of Zemax, in UTF-16 or UTF-8, or in the code page of old versions
     (for comments only).
 
@@ -509,7 +511,7 @@ def text_lines(text: str) -> list[str]:
     return re.split(r"\r\n|\r|\n", text)
 
 
-# Formula of an AGF file -> that of refractiveindex.info, and its coefficients.
+# Formula of an AGF file -> formula of refractiveindex.info, and its coefficients.
 _Coefficients = tuple[float, ...]
 _AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, _Coefficients]]] = {
     1: lambda c: _powers(c, (2, -2, -4, -6, -8)),  # Schott
@@ -545,7 +547,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
     expected = "a glass catalogue as Zemax has it (AGF), which is text"
     glasses: dict[str, Glass] = {}
     entry: _CatalogueEntry | None = None
-    lines = text_lines(text_of_file(path, "lens.glass_catalogues", expected, MAX_BYTES))
+    lines = text_lines(read_zemax_text(path, "lens.glass_catalogues", expected, MAX_BYTES))
     for number, line in enumerate(lines, 1):
         keyword, *words = line.split() or [""]
         if keyword == "NM" and entry:

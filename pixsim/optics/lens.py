@@ -77,29 +77,28 @@ _SPOKES_OF_OUTLINE = 256
 _SMOOTH_SPOKES = 64
 _MAX_SPOKES = 4096
 _OUTLINE_START = 0.1  # of 1/N, in direction cosines: a fifth of a pupil's half width
-_OUTLINE_STEPS, _OUTLINE_REACH = (
-    (0.7, 0.85, 1.0, 1.15),
-    10.0,
-)  # of the distance to the foretold edge
+# Of the distance to the predicted edge.
+_OUTLINE_STEPS = (0.7, 0.85, 1.0, 1.15)
+_OUTLINE_REACH = 10.0
 _MIDDLE_STEPS = 3  # each is a 20th of the one before: slivers of 1e-4 of a pupil
 # Of edges in direction cosines, and of field angles in degrees.
 _ROOT_STEPS = 60
 _ROOT_WIDTH = 1e-12
 _ROOT_VALUE = 1e-11
-_INSIDE = 1 + 1e-12  # of the stop's edge
+_EDGE_TOLERANCE = 1 + 1e-12  # of the stop's edge
 
 _STEEPEST_DEG = 89.0
 _FIELD_COUNT = 179
 # Of the search for the largest field that can be traced, in tenths of a degree.
 _LIMIT_FIELDS = 33
 _LIMIT_PER_DEG = 10
-_WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
+_F_NUMBER_ROUNDING = 1e-8  # relative: an f-number in a few digits is the lens's own
 _FOCUS_STEP_MM = 1e-3
 # With an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding.
 _FAINTEST_F_NUMBER = 1000.0
 # Of the focal length: the image may lie as far in front of the last surface, as within a cover
 # glass.
-_VIRTUAL = 0.01
+_MAX_VIRTUAL_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -173,8 +172,8 @@ def load_lens(
     """Load a lens: a packaged one by its name (cooke_triplet, double_gauss, phone, singlet), or a
     `.toml` or `.zmx` file.
 
-    The lens is as the file has it: its object, image plane and scale. Where a file leaves a choice,
-    a warning says which was made.
+    Object, image plane and scale are those of the file. Where a file leaves a choice, a warning
+    says which was made.
 
     file : name or path
     configuration : of a .zmx file, from 1; the active one by default
@@ -182,7 +181,7 @@ def load_lens(
         refracting surfaces
     vignetting_factors : of a .zmx file, "use" or "ignore"; by default they are used unless
         apertures stop rays
-    glass_catalogues : AGF files, which go before the packaged glasses
+    glass_catalogues : AGF files, which take precedence over the packaged glasses
     unknown_glass : "model" takes the n_d and V_d that the file states for a glass that no catalogue
         has
 
@@ -208,10 +207,10 @@ def read_lens(file: str, options: PrescriptionOptions) -> Lens:
 
     options : how to read the file; their `file` and how the lens is used are not looked at
     """
-    return lens_of(read_prescription(file, options))
+    return lens_from_prescription(read_prescription(file, options))
 
 
-def lens_of(prescription: Prescription) -> Lens:
+def lens_from_prescription(prescription: Prescription) -> Lens:
     """Return the lens of a prescription. Raises PixsimError if it makes no real image, or if its
     axial rays do not get through.
 
@@ -232,8 +231,9 @@ def lens_of(prescription: Prescription) -> Lens:
 
 
 def _without_fields(prescription: Prescription) -> Lens:
-    """Return the lens of a prescription without its fields. Raises PixsimError as `lens_of`
-    does.
+    """Return the lens of a prescription without its fields.
+
+    Raises PixsimError as `lens_from_prescription` does.
     """
     bare = Lens(prescription, 1.0, 0.0)
 
@@ -267,7 +267,7 @@ def _without_fields(prescription: Prescription) -> Lens:
 
     lens = Lens(prescription, pupil_mm, 0.0, object_mm)
     back_mm = lens._paraxial_focus_mm() + prescription.surfaces[-1].thickness_mm
-    if not -_VIRTUAL * focal_mm <= back_mm + _trailing_air_mm(prescription) < math.inf:
+    if not -_MAX_VIRTUAL_SHARE * focal_mm <= back_mm + _trailing_air_mm(prescription) < math.inf:
         raise invalid(
             bare._label,
             f"no real image: a back focal length of {back_mm:.5g} mm",
@@ -426,22 +426,22 @@ def _notes_of_stopped_light(lens: Lens) -> list[Note]:
     stop.
     """
     prescription = lens.prescription
-    texts = []
+    remarks = []
     if prescription.fixed:
-        texts.append(
+        remarks.append(
             f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they"
             ' are no apertures; lens.semi_diameters = "clip" makes them stop rays'
         )
     if prescription.vignetting and lens.vignetting:
-        texts.append(
+        remarks.append(
             'its vignetting factors are used; lens.vignetting_factors = "ignore" leaves them out'
         )
     if prescription.spare_vignetting:
-        texts.append(
+        remarks.append(
             "its vignetting factors are not used, so that nothing is cut twice;"
             ' lens.vignetting_factors = "use" applies them all the same'
         )
-    return [Note("lens_as_read", lens=lens._label, words=text) for text in texts]
+    return [Note("lens_as_read", lens=lens._label, words=text) for text in remarks]
 
 
 @checked_methods
@@ -484,7 +484,7 @@ class Lens:
 
     @property
     def fingerprint(self) -> str:
-        """A text that differs for lenses that trace otherwise."""
+        """A text that differs between lenses whose rays differ."""
         return repr(self) + (repr(self.vignetting) if self.vignetting else "")
 
     @property
@@ -516,8 +516,9 @@ class Lens:
     # Paraxial
 
     def first_order(self, wavelength_nm: Positive) -> FirstOrder:
-        """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a
-        glass.
+        """Return paraxial data at a wavelength.
+
+        Raises PixsimError if the wavelength is outside the range of a glass.
         """
         surfaces = self.prescription.surfaces
         indices = self._indices(np.array([wavelength_nm]))
@@ -613,7 +614,9 @@ class Lens:
 
     @cached_property
     def _exit_pupil_from_image_mm(self) -> float:
-        """Where the reference spheres begin on the axis."""
+        """Distance of the paraxial exit pupil, where reference spheres cross the axis, from the
+        image.
+        """
         return self.first_order(self.primary_nm).exit_pupil_from_image_mm
 
     @cached_property
@@ -982,7 +985,7 @@ class Lens:
         images are traced once.
         """
         opd = np.full((field_deg.size, stop_x.size), np.nan)
-        is_inside = np.hypot(stop_x, stop_y) <= _INSIDE
+        is_inside = np.hypot(stop_x, stop_y) <= _EDGE_TOLERANCE
         half_stop = np.abs(stop_x[is_inside]) + 1j * stop_y[is_inside]
         points, which = np.unique(half_stop, return_inverse=True)
         if not points.size:
@@ -1177,7 +1180,7 @@ class Lens:
         passed = rays.passed
         if self.vignetting:
             height = self._relative_height_at_stop(field_deg, stop_x_mm, stop_y_mm)
-            passed = passed & (height <= _INSIDE)
+            passed = passed & (height <= _EDGE_TOLERANCE)
         return Wavefront(
             opd_waves=path_difference_mm / (_MM_PER_NM * wavelength_nm[:, None]),
             passed=passed,
@@ -1304,8 +1307,8 @@ class Lens:
         """Return radii (C, spokes) on both sides of the first edge of the light, and the excess
         there: low, its excess, high, its excess.
 
-        Outwards in steps to the first edge, which a small step foretells: beyond it, strong
-        aspheres may let rays through again.
+        The search goes outwards in steps to the first edge, which a small step predicts: beyond it,
+        strong aspheres may let rays through again.
 
         excess : radii (C, 1 or spokes) -> above 0 outside of the light
         horizon : radii of directions in the image plane, (C, spokes)
@@ -1682,7 +1685,7 @@ class Lens:
         for a larger one.
         """
         first_order = self.first_order(self.primary_nm)
-        if not first_order.f_number * (1 - _WIDEST) <= f_number < math.inf:
+        if not first_order.f_number * (1 - _F_NUMBER_ROUNDING) <= f_number < math.inf:
             raise invalid(
                 "f_number",
                 f"{f_number:g}",

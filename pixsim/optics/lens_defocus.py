@@ -1,4 +1,4 @@
-"""Depths, and the diameters of a thin lens's discs for points there.
+"""Depth of field: the blur discs of points at other depths than the plane in focus.
 
 A real lens has the discs of a thin lens of its image distance and aperture.
 """
@@ -10,22 +10,21 @@ from collections.abc import Sequence
 
 from pixsim.optics.camera import Camera
 
-# Entry of an irradiance's header: the nearest depth in view, the one least out of focus, and the
-# farthest.
+# Header entry: the nearest depth in view, the depth least out of focus, and the farthest depth.
 DEPTHS = "depths_m"
 
 
 def signed_disc_um(camera: Camera, depth_m: float) -> float:
-    """Return the diameter of a thin lens's disc for a point at a depth, below 0 in front of the
-    plane in focus.
+    """Return the diameter of the blur disc of a point at a depth; negative in front of the plane in
+    focus.
     """
     dioptres = 1 / camera.object_distance_m - 1 / depth_m
     return _disc_per_dioptre_um(camera) * dioptres
 
 
 def depth_of_disc_m(camera: Camera, signed_um: float) -> float:
-    """Return the depth of a point with a disc; infinite for discs at least as large as the disc of
-    a point at infinity.
+    """Return the depth of a point by the diameter of its blur disc; infinite from the disc of a
+    point at infinity on.
     """
     dioptres = 1 / camera.object_distance_m - signed_um / _disc_per_dioptre_um(camera)
     return 1 / dioptres if dioptres > 0 else math.inf

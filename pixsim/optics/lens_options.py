@@ -1,5 +1,5 @@
-"""The lens: its veil and its fall-off, and a real one in place of the thin one: its file, and how
-it is read and focused.
+"""Options of the lens: veiling glare and fall-off, and a real lens in place of the thin one, with
+its file, reading and focus.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def replaced_by_lens(base: dict[str, Any], over: dict[str, Any]) -> list[str]:
 
 
 def as_file_names(value: object) -> object:
-    """Names of files, from a list or from text with commas, as an option has it."""
+    """Return file names from a list, or from a text with commas, as on the command line."""
     if not isinstance(value, str):
         return value
     return [part.strip() for part in value.split(",") if part.strip()]
@@ -172,13 +172,13 @@ class PrescriptionOptions(Record):
 
 
 class LensOptions(PrescriptionOptions):
-    """The lens: its veil and its fall-off, and a real lens in place of the camera's thin one."""
+    """Veiling glare and fall-off of the lens, and a real lens in place of the camera's thin one."""
 
     veiling_glare: Share | None = Field(
         None,
         description=(
-            "share of the light of the whole field that falls evenly on the sensor (ISO 9358, ISO"
-            " 18844): a number from 0 to below 1, or a CSV file of wavelength in nm and share"
+            "share of the light of the whole field that falls uniformly on the sensor (ISO 9358,"
+            " ISO 18844): a number from 0 to below 1, or a CSV file of wavelength in nm and share"
             " (absent: none)"
         ),
     )

@@ -1,4 +1,4 @@
-"""Wavefronts of a traced lens as `field_blur` takes them."""
+"""Wavefronts of a traced lens, as input of `field_blur`."""
 
 from __future__ import annotations
 

@@ -47,16 +47,15 @@ from pixsim.optics.glass import (
     find_glass,
     named,
     read_catalogue,
+    read_zemax_text,
     shifted,
     text_lines,
-    text_of_file,
 )
 from pixsim.optics.lens_options import PrescriptionOptions
 
 MAX_BYTES = 4 << 20  # of a file; prescriptions have some kB
 _MAX_SURFACES = 200
-# of a .zmx file, which has some dozen for each surface: operands and lines are looked up in each
-# other
+# Of a .zmx file, which has about a dozen for each surface: the time grows with the square.
 _MAX_LINES = 50_000
 MAX_POWER = 60  # of an asphere
 _FIELD_ANGLES_DEG = (1e-6, 180.0)  # of a file; `lens` limits fields to what it can trace
@@ -158,8 +157,8 @@ class Prescription:
     object_distance_mm : from the object plane to the first vertex
     vignetting : of fields, by `field_value`; empty without, and where not used
     spare_vignetting : what the file states of it and is not used
-    fixed : surfaces, from 0, whose semi-diameter the file fixes without an aperture, and which stop
-        no rays
+    fixed : indices, from 0, of surfaces whose semi-diameter the file fixes without an aperture, and
+        which stop no rays
     notes : what a user should know of how the file was read
     """
 
@@ -174,7 +173,7 @@ class Prescription:
     field_value: float
     wavelengths_nm: tuple[float, ...]
     primary_nm: float
-    # Not shown, so that the text of a lens without them, and what is derived from it, stays.
+    # Not in the representation, on which the hash of a lens depends.
     object_distance_mm: float = field(default=math.inf, repr=False)
     vignetting: tuple[Vignetting, ...] = field(default=(), repr=False)
     spare_vignetting: tuple[Vignetting, ...] = field(default=(), repr=False)
@@ -186,7 +185,7 @@ class Prescription:
         aperture_factor = factor if self.aperture.endswith("_diameter") else 1.0
         field_factor = 1.0 if self.field_of_view == "angle_deg" else factor
 
-        def at(rows: tuple[Vignetting, ...]) -> tuple[Vignetting, ...]:
+        def with_scaled_fields(rows: tuple[Vignetting, ...]) -> tuple[Vignetting, ...]:
             return tuple(replace(row, field_value=row.field_value * field_factor) for row in rows)
 
         return replace(
@@ -195,8 +194,8 @@ class Prescription:
             aperture_value=self.aperture_value * aperture_factor,
             field_value=self.field_value * field_factor,
             object_distance_mm=self.object_distance_mm * factor,
-            vignetting=at(self.vignetting),
-            spare_vignetting=at(self.spare_vignetting),
+            vignetting=with_scaled_fields(self.vignetting),
+            spare_vignetting=with_scaled_fields(self.spare_vignetting),
         )
 
     @property
@@ -233,8 +232,8 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
     options = options or PrescriptionOptions()
     user_glasses: dict[str, Glass] = {}
     for name in options.glass_catalogues:
-        for full, glass in read_catalogue(Path(name)).items():
-            user_glasses.setdefault(full, glass)
+        for full_name, glass in read_catalogue(Path(name)).items():
+            user_glasses.setdefault(full_name, glass)
     prescription = READERS[suffix](path, options, user_glasses)
     if user_glasses and not any(
         glass.name.partition(", n_d ")[0] in user_glasses for glass in prescription.glasses
@@ -400,14 +399,14 @@ class _GlassTable(Record):
 
     @property
     def words(self) -> str:
-        """A name for a glass that the file gives none."""
+        """Name of a glass that has none in the file."""
         if self.n_d is not None and self.v_d is not None:
             return _model_name(self.n_d, self.v_d)
         return "dispersion formula" if self.n is None else f"n = {self.n:g}"
 
     def glass(self, name: str, where: str) -> Glass:
         """Return the glass. Raises PixsimError unless exactly one of the three descriptions is
-        whole.
+        complete.
         """
         descriptions = {
             "formula and coefficients": (self.formula, self.coefficients),
@@ -751,8 +750,8 @@ def _toml_glass(
     )
 
 
-def _is_plain(full: str) -> bool:
-    return all(map(PLAIN_WORD.fullmatch, full.split(":", 1)))
+def _is_plain(full_name: str) -> bool:
+    return all(map(PLAIN_WORD.fullmatch, full_name.split(":", 1)))
 
 
 # Zemax
@@ -985,7 +984,9 @@ def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
     A keyword of the head belongs there wherever it stands; another one to the surface above, if it
     is indented or no line is.
     """
-    text = text_lines(text_of_file(path, "lens", "a Zemax prescription, which is text", MAX_BYTES))
+    text = text_lines(
+        read_zemax_text(path, "lens", "a Zemax prescription, which is text", MAX_BYTES)
+    )
     if len(text) > _MAX_LINES:
         raise invalid(f"lens '{path}'", f"{len(text)} lines", f"at most {_MAX_LINES}")
     words_of_lines = [line.split() for line in text]
@@ -1378,7 +1379,8 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
 
 
 def _coordinate_break_words(block: _Block, where: str, medium: str) -> list[str]:
-    """Say what a coordinate break changes; empty if nothing.
+    """Return the changes of axis, curvature and medium that a coordinate break makes; empty without
+    any.
 
     medium : name of the glass in front of it
     """

@@ -121,7 +121,7 @@ class Pupil:
         return Directions(self._cosines(point), weight, self.chief_cosines)
 
     def at(self, points: NDArray[np.intp] | slice) -> Pupil:
-        """Return some of the pupils, (k,) of (n,)."""
+        """Return the pupils of selected points, (k,) of (n,)."""
         return Pupil(
             self.centre[points], self.radial[points], self.tangential[points], self.is_in_tangents
         )
@@ -140,8 +140,8 @@ def _cross(a: Array, b: Array) -> Array:
 
 @lru_cache(maxsize=128)
 def _gauss_nodes(count: int) -> tuple[Array, Array]:
-    """Return the nodes of Gauss-Legendre quadrature from -1 to 1 and their weights; finding them
-    takes longer than using them.
+    """Return the nodes of Gauss-Legendre quadrature from -1 to 1 and their weights, cached since
+    they take longer to compute than to use.
     """
     return np.polynomial.legendre.leggauss(count)
 

@@ -383,7 +383,7 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
     """
     pitch = stack.pitch_um / stack.height_um
     side = stack.photodiode_side_um / stack.height_um
-    exact = stack.refraction == "exact"
+    is_exact = stack.refraction == "exact"
 
     # Centres of the photodiodes (n, 2, 5), and the edges between which a share is smooth.
     chief = stack.tangents(pupil.chief_cosines)
@@ -399,14 +399,14 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
     # Nodes on the pieces of the boundary, (k, nodes); the weights of dy.
     point, low, high = _pieces(stack, pupil, np.concatenate(edges, axis=-1))
     angle = low[:, None] + (high - low)[:, None] * (1 + NODES) / 2
-    at, slope = _boundary(stack, pupil.at(point), angle)
-    x = at[..., 0]
-    y = at[..., 1]
+    position, slope = _boundary(stack, pupil.at(point), angle)
+    x = position[..., 0]
+    y = position[..., 1]
     rise = slope[..., 1] * WEIGHTS * (high - low)[:, None] / 2
 
     # The integrals along x may begin at any constant.
     start = chief[point, :1]
-    area = (rise * _moment(start, x, y, 0, exact)).sum(axis=-1)
+    area = (rise * _moment(start, x, y, 0, is_exact)).sum(axis=-1)
 
     x = x[..., None]
     y = y[..., None]
@@ -417,14 +417,14 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
     last = middle + half
     if stack.microlens:
         inside = np.asarray(across < half, float)
-        along = _moment(np.clip(start, first, last), np.clip(x, first, last), y, 0, exact)
+        along = _moment(np.clip(start, first, last), np.clip(x, first, last), y, 0, is_exact)
     else:
         # The overlap of opening and photodiode rises to its middle, and falls behind it.
         inside = np.maximum(half - across, 0.0) / pitch
         rising = np.clip(start, first, middle), np.clip(x, first, middle)
         falling = np.clip(start, middle, last), np.clip(x, middle, last)
-        along = _moment(*rising, y, 1, exact) - first * _moment(*rising, y, 0, exact)
-        along += last * _moment(*falling, y, 0, exact) - _moment(*falling, y, 1, exact)
+        along = _moment(*rising, y, 1, is_exact) - first * _moment(*rising, y, 0, is_exact)
+        along += last * _moment(*falling, y, 0, is_exact) - _moment(*falling, y, 1, is_exact)
         along /= pitch
 
     # Sum over the nodes of each piece, then over the pieces of each boundary.
@@ -434,14 +434,14 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
     return np.asarray(np.add.reduceat(shares, starts) / total[:, None, None])
 
 
-def _moment(start: Array, end: Array, y: Array, power: int, exact: bool) -> Array:
+def _moment(start: Array, end: Array, y: Array, power: int, is_exact: bool) -> Array:
     """Return ∫ x^power ρ dx from `start` to `end` at y, (...), with ρ = 1, or 1/(1 + x² + y²)² in
     exact refraction.
 
     ρ is the area of direction cosines over the area of tangents, divided by n². The differences are
     written without cancellation.
     """
-    if not exact:
+    if not is_exact:
         return (end - start) * ((end + start) / 2 if power else 1.0)
     start, end, y = np.broadcast_arrays(start, end, y)
     result = np.zeros(start.shape)
@@ -484,17 +484,17 @@ def _pieces(stack: Stack, pupil: Pupil, edges: Array) -> tuple[NDArray[np.intp],
     axis = np.tile([0, 1], count)
     boundary = pupil.at(line)
 
-    # Values at equal steps, the last of which is the first again, and at the turn within each step.
+    # Values at equal steps, of which the last repeats the first, and at the turn within each step.
     nodes = np.linspace(0, 2 * np.pi, STEPS + 1)
     angles = np.broadcast_to(nodes, (line.size, nodes.size))
-    at, slope = _coordinate(stack, boundary, axis, angles)
-    at[:, -1] = at[:, 0]
+    position, slope = _coordinate(stack, boundary, axis, angles)
+    position[:, -1] = position[:, 0]
     slope[:, -1] = slope[:, 0]
     turn = _turns(stack, boundary, axis, nodes, slope)
     angle, value = np.empty((2, line.size, 2 * STEPS + 1))
     angle[:, ::2] = nodes
     angle[:, 1::2] = turn
-    value[:, ::2] = at
+    value[:, ::2] = position
     value[:, 1::2] = _coordinate(stack, boundary, axis, turn)[0]
 
     # Cut where a coordinate crosses an edge.
@@ -521,9 +521,9 @@ def _coordinate(
     """Return x or y (`axis`, (n,)) of the boundary of pupils (n,) at angles (n, k), and its
     derivative, (n, k).
     """
-    at, slope = _boundary(stack, pupil, angle)
+    position, slope = _boundary(stack, pupil, angle)
     pupils = np.arange(axis.size)
-    return at[pupils, :, axis], slope[pupils, :, axis]
+    return position[pupils, :, axis], slope[pupils, :, axis]
 
 
 def _turns(stack: Stack, pupil: Pupil, axis: NDArray[np.intp], nodes: Array, slope: Array) -> Array:
@@ -561,7 +561,7 @@ def _crossings(
     pupil: Pupil,
     axis: NDArray[np.intp],
     bracket: tuple[Array, Array],
-    edge: Array,
+    edge_position: Array,
     rises: NDArray[np.bool],
 ) -> Array:
     """Return the angles (n,) within brackets at which coordinates reach edges, by Newton's method.
@@ -571,16 +571,16 @@ def _crossings(
     low, high = bracket
     angle = (low + high) / 2
     for _ in range(NEWTON_STEPS if angle.size else 0):
-        at, slope = (part[:, 0] for part in _coordinate(stack, pupil, axis, angle[:, None]))
+        position, slope = (part[:, 0] for part in _coordinate(stack, pupil, axis, angle[:, None]))
 
         # Narrow the brackets.
-        is_later = (at <= edge) == rises
+        is_later = (position <= edge_position) == rises
         low = np.where(is_later, angle, low)
         high = np.where(is_later, high, angle)
 
         # Newton's step where it stays within the bracket; else halve the bracket.
         with np.errstate(divide="ignore", invalid="ignore"):
-            newton = angle - (at - edge) / slope
+            newton = angle - (position - edge_position) / slope
         is_within = (newton >= low) & (newton <= high)
         next_angle = np.where(is_within, newton, (low + high) / 2)
         converged = np.abs(next_angle - angle) <= _CONVERGED_RAD

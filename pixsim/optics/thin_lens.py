@@ -74,8 +74,8 @@ _FALL_OFF_STEPS = 512  # linear in between: 1e-5 of a fall-off to a third
 def dense_fall_off(
     rows: tuple[tuple[float, ...], ...],
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return image heights in mm, and the relative illumination between the rows of a table, close
-    enough for straight lines.
+    """Return a table of relative illumination, sampled so densely that straight lines connect its
+    rows: image heights in mm, and values.
 
     Illumination is an even function of the height: a monotone cubic (F. N. Fritsch and J. Butland,
     SIAM J. Sci. Stat. Comput. 5 (1984) 300) through the rows against its square, which holds their
@@ -87,9 +87,8 @@ def dense_fall_off(
 
     height_mm, relative = np.array(rows, float).T
     dense = np.union1d(height_mm, np.linspace(0.0, height_mm[-1], _FALL_OFF_STEPS + 1))
-    return tuple(dense.tolist()), tuple(
-        PchipInterpolator(height_mm**2, relative)(dense**2).tolist()
-    )
+    dense_relative = PchipInterpolator(height_mm**2, relative)(dense**2)
+    return tuple(dense.tolist()), tuple(dense_relative.tolist())
 
 
 def field_factor(

@@ -1,5 +1,5 @@
 """Veiling glare: the share of the light of the whole field that strays in lens and camera, and
-falls evenly on the sensor.
+falls uniformly on the sensor.
 
 With g its share (ISO 9358, ISO 18844), E′ = (1 - g) E + g (1 + s) mean(E). The mean is over the
 film that is rendered and the margin around it; s is the light from outside of them that strays in,
@@ -17,13 +17,13 @@ from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 
-# entry of a header: mean of the picture of which this one is a part, (B,)
+# Header entry: mean of the picture of which this one is a part, (B,).
 VEIL = "veil_of_w_per_m2_nm"
 
 
 @dataclass(frozen=True)
-class _VeilingGlare:
-    """Light that strays in a camera, and light that does not.
+class StrayLight:
+    """Stray light in a camera, and the share of the light that does not stray.
 
     direct_share : (B,) share of each band that does not stray
     uniform_w_per_m2_nm : (B,) irradiance by stray light, the same everywhere
@@ -33,14 +33,15 @@ class _VeilingGlare:
     uniform_w_per_m2_nm: Array
 
 
-def veil_of(irradiance: SpectralImage, camera: Camera) -> _VeilingGlare | None:
-    """Return the veil of a picture, or of the whole one of which it is a part
-    (`with_veil_of_whole`), or None without veiling glare.
+def stray_light(irradiance: SpectralImage, camera: Camera) -> StrayLight | None:
+    """Return the stray light of a picture, or None without veiling glare.
+
+    It is that of the whole picture, of which this one may be a part (`with_veil_of_whole`).
 
     Beyond its ends, a table of shares is constant.
 
     >>> flat_field = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
-    >>> veil = veil_of(flat_field, Camera(veiling_glare=0.04))
+    >>> veil = stray_light(flat_field, Camera(veiling_glare=0.04))
     >>> veil.direct_share.round(3).tolist(), veil.uniform_w_per_m2_nm.round(8).tolist()
     ([0.96], [4e-05])
     """
@@ -59,7 +60,7 @@ def veil_of(irradiance: SpectralImage, camera: Camera) -> _VeilingGlare | None:
         and all(isinstance(value, float) for value in stated_mean)
     )
     mean = np.asarray(stated_mean) if is_valid else irradiance.whole.mean_spectrum()
-    return _VeilingGlare(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
+    return StrayLight(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
 
 
 def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:
@@ -68,8 +69,9 @@ def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ..
 
 
 def with_veil_of_whole(irradiance: SpectralImage, camera: Camera) -> SpectralImage:
-    """Return a picture whose parts have the veil of the whole; without veiling glare, the picture
-    itself.
+    """Return a picture whose parts keep the stray light of the whole picture.
+
+    Without veiling glare it is the picture itself.
     """
     if not camera.veiling_glare:
         return irradiance

@@ -25,7 +25,7 @@ from pixsim.light.spectral import (
     colour_matching,
     photons_per_joule,
     photopic_efficiency,
-    white_words,
+    white_description,
 )
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
@@ -161,7 +161,9 @@ class LightPlan:
     @property
     def white_name(self) -> str:
         """Name of the light of the scene's white."""
-        return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
+        if self.plate:
+            return WHITE_OF_PLATE
+        return white_description(bool(self.white), self.white_lamps)
 
     def white_header(self, edges_nm: Array) -> dict[str, Any]:
         """Return the entries of an irradiance's header on the light of the scene's white, and on

@@ -35,7 +35,7 @@ from pixsim.light.spectral import (
     Spectrum,
 )
 from pixsim.optics.camera import Camera
-from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
+from pixsim.optics.camera_lens import LENS_HEADER, camera_distortion, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.lens_defocus import DEPTHS, finite_or_none
 from pixsim.optics.thin_lens import irradiance_factor
@@ -314,7 +314,7 @@ class Renderer:
         self.seed = seed
         self.ends_at_s = ends_at_s
         self.film_camera = rendered_camera(camera)
-        self.distortion = distortion_of(camera)
+        self.distortion = camera_distortion(camera)
 
         # Film: the picture, and the cells around it that are rendered too.
         self.text = scene.text_for_camera(self.film_camera)

@@ -29,13 +29,13 @@ from pixsim.optics.camera_lens import (
     GROUPS,
     Tiling,
     band_groups,
-    blur_of,
-    psfs_of,
-    tiling_of,
+    camera_blur,
+    camera_psfs,
+    image_tiling,
     traced_lens,
 )
 from pixsim.optics.diffraction import diffract_sums
-from pixsim.optics.veil import veil_of
+from pixsim.optics.veil import stray_light
 from pixsim.sensor.collection import (
     Collection,
     Illumination,
@@ -431,7 +431,7 @@ def split_by_veil(
 
     Without veiling glare the weights are unchanged, and the rates 0.
     """
-    veil = veil_of(irradiance, camera)
+    veil = stray_light(irradiance, camera)
     if veil is None:
         return weights, [0.0] * len(weights)
     veils = [M2_PER_UM2 * float((weight * veil.uniform_w_per_m2_nm).sum()) for weight in weights]
@@ -451,7 +451,7 @@ def _blurred(
     blur: Callable[[Array, float], Array] | None,
 ) -> list[Array]:
     """Return `diffracted` without veiling glare, [(H, W)]."""
-    tiling = tiling_of(irradiance, camera)
+    tiling = image_tiling(irradiance, camera)
     if tiling is not None:
         return [
             _per_um2(real_lens_rate(irradiance, camera, tiling, weight, blur)) for weight in weights
@@ -515,7 +515,7 @@ def real_lens_rate(
     lights = _blurred_lights(irradiance.whole, electrons, seen, tiling)
     for number, (picture, weight, blurred_by) in enumerate(lights):
         with watched_share(number / count, (number + _BLUR_WORK) / count):
-            blur = blur_of(
+            blur = camera_blur(
                 camera, irradiance.shape, irradiance.pitch_um, blurred_by, nm, weight, transfer
             )
         with watched_share((number + _BLUR_WORK) / count, (number + 1) / count):
@@ -601,7 +601,7 @@ class PartBehindLens:
         blurred_lights = [_blurred_lights(image, electrons, seen, tiling) for image in images]
         for films in zip(*blurred_lights, strict=True):
             _, weight, blurred_by = films[0]
-            psfs = psfs_of(camera, *self.psf_film, blurred_by, nm, weight, transfer)
+            psfs = camera_psfs(camera, *self.psf_film, blurred_by, nm, weight, transfer)
             pictures = [
                 (picture, image.pitch_um)
                 for (picture, _, _), image in zip(films, images, strict=True)

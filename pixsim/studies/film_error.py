@@ -34,7 +34,7 @@ from pixsim.base.hashes import content_hash
 from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera_lens import LENS_HEADER, Tiling, tiling_of
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, image_tiling
 from pixsim.optics.veil import with_veil_of_whole
 from pixsim.scene.film import BLOCK, details_across, dots_across
 from pixsim.scene.rules import Chart
@@ -787,7 +787,7 @@ class BehindLens:
     @classmethod
     def of(cls, image: SpectralImage, imaging: Imaging) -> BehindLens | None:
         """Return the parts of a picture behind a real lens, or None behind a thin lens."""
-        tiling = tiling_of(image, imaging.camera)
+        tiling = image_tiling(image, imaging.camera)
         if tiling is None:
             return None
         halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK

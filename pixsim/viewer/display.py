@@ -38,7 +38,7 @@ from pixsim.light.spectral import (
     WHITE_RADIANCE,
     SpectralImage,
     d65,
-    white_words,
+    white_description,
 )
 from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
@@ -113,7 +113,7 @@ def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
     Where D65 has no light either, as in the infrared, it is the mean of the picture.
     """
     spectrum = irradiance.white_spectrum
-    words = white_words(spectrum is not None, irradiance.header.get(WHITE_LAMPS, ()))
+    words = white_description(spectrum is not None, irradiance.header.get(WHITE_LAMPS, ()))
     if DIFFUSER_W in irradiance.header.get(DIFFUSER, {}):
         words = WHITE_OF_PLATE
     if spectrum is not None:

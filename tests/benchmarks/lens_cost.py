@@ -31,7 +31,7 @@ from pixsim.base.arrays import Array
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics import camera_lens
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.camera_lens import Tiling, blur_of, channel_wavefronts, choose_tiling
+from pixsim.optics.camera_lens import Tiling, camera_blur, channel_wavefronts, choose_tiling
 from pixsim.optics.field_blur import ChannelWavefronts, FieldBlur, periodic_psf
 from pixsim.optics.lens import load_lens
 from pixsim.optics.lens_options import LensOptions
@@ -149,7 +149,7 @@ def measure_errors(camera: Camera, pitch_um: float, tiling: Tiling, points: int 
 
     def at(tiles: float) -> FieldBlur:
         wanted = replace(tiling, spacing_um=SIDE / tiles * pitch_um, psf_um=cells * pitch_um)
-        return blur_of(camera, (SIDE, SIDE), pitch_um, wanted, SEEN_NM, WEIGHT)
+        return camera_blur(camera, (SIDE, SIDE), pitch_um, wanted, SEEN_NM, WEIGHT)
 
     exact = superposed_at(
         dots, places, channel_wavefronts(camera, SEEN_NM, WEIGHT, tiling), pitch_um
@@ -210,7 +210,7 @@ def measure(name: str) -> None:
     dots, chart, _ = pictures()
 
     def first(of: Tiling) -> FieldBlur:
-        return blur_of(camera, shape, pitch_um, of, SEEN_NM, WEIGHT)
+        return camera_blur(camera, shape, pitch_um, of, SEEN_NM, WEIGHT)
 
     def at(tiles: int) -> Tiling:
         return replace(tiling, spacing_um=SIDE / tiles * pitch_um, psf_um=cells * pitch_um)

@@ -18,18 +18,18 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
     Tiling,
-    blur_of,
+    camera_blur,
+    camera_distortion,
+    camera_psfs,
     camera_with_lens,
     channel_wavefronts,
     dark_share,
-    distortion_of,
     few_wavelengths,
     field_angles,
     fitted_wavefronts,
     lens_mtf,
     lens_on_die,
     moved_error,
-    psfs_of,
     rendered_camera,
     traced_lens,
     without_lens,
@@ -54,7 +54,7 @@ def with_lens(
     return camera_with_lens(camera, given or CameraOptions(), LensOptions(file=file, **options))
 
 
-def lens_of(camera: Camera) -> Lens:
+def lens_from_prescription(camera: Camera) -> Lens:
     assert camera.lens is not None
     return traced_lens(camera.lens, camera.object_distance_m)
 
@@ -84,7 +84,7 @@ def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief
     file: str,
 ) -> None:
     camera = with_lens(file, 10.0, focal_length_mm=40.0)
-    lens = lens_of(camera)
+    lens = lens_from_prescription(camera)
     nm = lens.primary_nm
     assert lens.first_order(nm).focal_length_mm == pytest.approx(40.0, rel=1e-9)
     factor = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
@@ -105,7 +105,9 @@ def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief
 def test_largest_field_reaches_the_corner_unless_a_focal_length_is_given() -> None:
     own = load_lens("cooke_triplet")
     camera = with_lens("cooke_triplet", 20.0, 1e4)
-    height_mm = float(lens_of(camera).chief_ray(own.max_field_deg, own.primary_nm).height_mm)
+    height_mm = float(
+        lens_from_prescription(camera).chief_ray(own.max_field_deg, own.primary_nm).height_mm
+    )
     assert height_mm == pytest.approx(
         math.hypot(20.0, 20.0) / 2, rel=3e-3
     )  # the file's plane and the best focus differ a little
@@ -170,7 +172,7 @@ def test_a_changed_file_is_seen(tmp_path: Path) -> None:
     file.write_text(text.replace("thickness_mm = ", "thickness_mm = 1", 1), encoding="utf-8")
     traced_lens.cache_clear()
     with pytest.raises(PixsimError, match="has changed since"):
-        lens_of(camera)
+        lens_from_prescription(camera)
 
 
 def test_settings_and_cameras_without_a_lens_are_written_as_before() -> None:
@@ -192,7 +194,7 @@ def test_points_lie_where_the_chief_rays_arrive() -> None:
     height in the picture.
     """
     camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
-    distortion, lens = distortion_of(camera), lens_of(camera)
+    distortion, lens = camera_distortion(camera), lens_from_prescription(camera)
     assert distortion is not None
     cells, pitch_um = 240, 100.0
     y, x = np.indices((cells, cells)) - (cells - 1) / 2
@@ -220,7 +222,7 @@ def test_a_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() 
     """Also where the plane of best focus is not the paraxial one: near the axis, points stay where
     they are.
     """
-    distortion = distortion_of(with_lens("double_gauss", 24.0, focal_length_mm=45.0))
+    distortion = camera_distortion(with_lens("double_gauss", 24.0, focal_length_mm=45.0))
     assert distortion is not None
     assert abs(distortion.image_scale - 1) > 5e-4
     straight_mm = distortion.image_scale * distortion.undistorted_mm
@@ -250,7 +252,7 @@ def test_waves_through_distortion_have_their_means_over_film_cells(
         CameraOptions(),
         LensOptions(file=file),
     )
-    distortion, turn = distortion_of(camera), math.radians(turn_deg)
+    distortion, turn = camera_distortion(camera), math.radians(turn_deg)
     assert distortion is not None
     source = CubicSpline(
         *(
@@ -291,7 +293,7 @@ def test_waves_through_distortion_have_their_means_over_film_cells(
 def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
     """An edge of two levels rings as one beside a bright and a black patch in the corner does."""
     camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     assert distortion is not None
     edge = np.where(np.arange(120) < 75, 1.0, 10.0) * np.ones((120, 1))
     patched = edge.copy()
@@ -304,7 +306,7 @@ def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
 
 def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
     camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
-    seen, distortion = rendered_camera(camera), distortion_of(camera)
+    seen, distortion = rendered_camera(camera), camera_distortion(camera)
     assert distortion is not None
     assert seen.lens is None
     assert seen.die_mm / camera.die_mm == distortion.widening
@@ -357,7 +359,7 @@ def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction
         "phone": (4.0, 3.2, 1.5),
     }[file]
     camera = with_lens(file, die_mm, 1e4, focal_length_mm=focal_mm, refocus="paraxial")
-    lens = lens_of(camera)
+    lens = lens_from_prescription(camera)
     chief_um, spot_um = traced_centroid_um(lens, field, nm)
     assert (spot_um > 0) == (file != "singlet")
     height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
@@ -410,7 +412,7 @@ def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) ->
     file = tmp_path / "own.toml"
     file.write_text(STOP_IN_FRONT, encoding="utf-8")
     camera = with_lens(str(file), 10.0, 1e4, focal_length_mm=40.0)
-    lens, field = lens_of(camera), 8.0
+    lens, field = lens_from_prescription(camera), 8.0
     heights_um = 1e3 * np.asarray(lens.chief_ray(field, np.array([450.0, 550.0, 650.0])).height_mm)
     assert heights_um[2] - heights_um[0] > 80  # µm, ten cells
     cells, pitch_um = 65, 8.0
@@ -419,7 +421,7 @@ def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) ->
         Tiling(800.0, cells * pitch_um, 0.0),
     )
     for nm, height_um in zip((450.0, 650.0), heights_um[[0, 2]], strict=True):
-        psfs = psfs_of(camera, (1250, 1250), pitch_um, tiling, np.array([nm]), np.ones(1))
+        psfs = camera_psfs(camera, (1250, 1250), pitch_um, tiling, np.array([nm]), np.ones(1))
         chief_um, spot_um = traced_centroid_um(lens, field, nm)
         assert chief_um == pytest.approx(height_um, rel=1e-12)
         wanted_um = chief_um - heights_um[1] + spot_um
@@ -495,11 +497,11 @@ def test_blur_of_a_lens_preserves_an_even_scene_and_is_remembered() -> None:
     camera = with_lens("singlet", 6.0)
     tiling = Tiling(1000.0, 300.0, 0.0)
     bands, weight = np.array([500.0, 600.0]), np.ones(2)
-    blur = blur_of(camera, (96, 96), 62.5, tiling, bands, weight)
+    blur = camera_blur(camera, (96, 96), 62.5, tiling, bands, weight)
     np.testing.assert_allclose(
         blur.blurred(np.ones((96, 96))), 1.0, rtol=1e-6
     )  # in single precision
-    assert blur_of(camera, (96, 96), 62.5, tiling, bands, weight) is blur
+    assert camera_blur(camera, (96, 96), 62.5, tiling, bands, weight) is blur
 
 
 def test_mtf_of_a_lens_is_that_of_diffraction_where_it_is_stopped_down_and_far_below_it_over_a_large_die() -> (

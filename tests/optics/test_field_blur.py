@@ -40,7 +40,7 @@ from pixsim.optics.field_blur import (
     veil_mtf,
 )
 from pixsim.optics.glass import constant_glass
-from pixsim.optics.lens import lens_of
+from pixsim.optics.lens import lens_from_prescription
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.prescription import Prescription, Surface
 from pixsim.optics.thin_lens import thin_lens_pupil
@@ -127,7 +127,7 @@ def test_traced_thin_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cos
     """
     glass = constant_glass("n = 1.5", 1.5)
     surfaces = Surface(1.0, 1e-5, glass), Surface(-1.0, 1.0)
-    lens = lens_of(
+    lens = lens_from_prescription(
         Prescription("thin", "", "", surfaces, 0, "f_number", 100.0, "angle_deg", 20.0, (NM,), NM)
     )
     fields = np.linspace(0, 20, 5)
@@ -278,7 +278,7 @@ def contrast_chart() -> Array:
     return 0.01 ** (1 - y) * np.sin(2 * np.pi * 4 * (16**x - 1) / np.log(16))
 
 
-def psfs_of(
+def camera_psfs(
     light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
 ) -> RadialPsfs:
     return radial_psfs(
@@ -290,11 +290,11 @@ def psfs_of(
     )
 
 
-def blur_of(
+def camera_blur(
     light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
 ) -> FieldBlur:
     return field_blur(
-        psfs_of(light, shape, pitch_um, spacing, cells), shape, pitch_um, spacing, cells
+        camera_psfs(light, shape, pitch_um, spacing, cells), shape, pitch_um, spacing, cells
     )
 
 
@@ -302,7 +302,7 @@ def bound_of(light: ChannelWavefronts, spacing: int) -> float:
     """The bound of tiles for random dots all over the picture, from places on the way to its
     corner.
     """
-    psfs = psfs_of(light, (FILM, FILM), PITCH_UM, spacing, CELLS)
+    psfs = camera_psfs(light, (FILM, FILM), PITCH_UM, spacing, CELLS)
     places = [(part * FILM / 2 * PITCH_UM,) * 2 for part in (0.25, 0.5, 0.7, 0.8)]
     window = max(psf_window(light, *place, PITCH_UM, CELLS) for place in places)
     exact = np.array(
@@ -337,7 +337,7 @@ def test_tiles_agree_with_superposition_within_their_bound(
     points = np.random.default_rng(5).integers(30, FILM - 30, (count, 2))
     exact, errors = superposed_at(picture, points), []
     for spacing, bound in zip(SPACINGS, bounds, strict=True):
-        blur = blur_of(uneven_light, picture.shape, PITCH_UM, spacing, CELLS)
+        blur = camera_blur(uneven_light, picture.shape, PITCH_UM, spacing, CELLS)
         reach = CELLS // 2
         found = blur.superposed(np.pad(picture, reach))[0][
             2 * reach : -2 * reach, 2 * reach : -2 * reach
@@ -393,7 +393,7 @@ def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_
         )
     pictures = {}
     for spacing in (32, 16, 8, 4):
-        blur = blur_of(sharp_light, dots.shape, COARSE_UM, spacing, cells)
+        blur = camera_blur(sharp_light, dots.shape, COARSE_UM, spacing, cells)
         pictures[spacing] = blur.blurred(dots) * blur.flat_field
     contrast = pictures[4].std()
     parts = [
@@ -543,7 +543,7 @@ def test_mirrors_do_not_change_the_blur(uneven_light: ChannelWavefronts) -> None
     all of them.
     """
     picture = random_dots()[:97, :97]
-    blur = blur_of(uneven_light, picture.shape, PITCH_UM, 16, 17)
+    blur = camera_blur(uneven_light, picture.shape, PITCH_UM, 16, 17)
     one = blur.blurred(picture)
     for turned in (np.flipud, np.fliplr, np.transpose):
         np.testing.assert_allclose(
@@ -556,7 +556,7 @@ def test_light_is_preserved_before_it_leaves_the_picture(
     shape: tuple[int, int], uneven_light: ChannelWavefronts
 ) -> None:
     picture = np.random.default_rng(1).random(shape)
-    blur = blur_of(uneven_light, shape, PITCH_UM, 16, 17)
+    blur = camera_blur(uneven_light, shape, PITCH_UM, 16, 17)
     reach = blur.cells // 2
     full, lacked = blur.superposed(np.pad(picture, reach))
     assert full.sum() + lacked.sum() == pytest.approx(picture.sum(), rel=1e-9)
@@ -578,7 +578,7 @@ def coma_blur() -> FieldBlur:
         ],
         np.ones(1),
     )
-    return blur_of(light, (161, 161), PITCH_UM, 20, 65)
+    return camera_blur(light, (161, 161), PITCH_UM, 20, 65)
 
 
 @pytest.mark.parametrize(("x", "y"), QUADRANTS)

@@ -16,7 +16,7 @@ import pytest
 import pixsim
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
-from pixsim.optics.lens import Lens, lens_of
+from pixsim.optics.lens import Lens, lens_from_prescription
 from pixsim.optics.prescription import Prescription, Surface
 from pixsim.optics.ray_trace import rays_from, trace
 from pixsim.optics.thin_lens import irradiance_factor
@@ -55,7 +55,7 @@ def reference(name: str) -> dict[str, Any]:
 
 def made_of(*surfaces: Surface, diameter: float = 20.0, field: float = 0.0, stop: int = 0) -> Lens:
     kind, aperture = "angle_deg", "entrance_pupil_diameter"
-    return lens_of(
+    return lens_from_prescription(
         Prescription(
             "test", "", "", surfaces, stop, aperture, diameter, kind, field, (550.0,), 550.0
         )
@@ -374,7 +374,7 @@ def test_thin_lens_has_the_fall_off_of_foote() -> None:
     """Equiconvex, f = 1 mm, f/100, 10 nm thick, stop at the lens: the pupil of a thin lens up to
     20°.
     """
-    thin = lens_of(
+    thin = lens_from_prescription(
         Prescription(
             "thin",
             "",

@@ -18,9 +18,9 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
     Tiling,
+    camera_distortion,
     choose_tiling,
     dark_share,
-    distortion_of,
     ideal_light,
     traced_lens,
     without_lens,
@@ -212,7 +212,7 @@ def test_ideal_image_has_the_distortion_unless_asked_otherwise() -> None:
         update={"lens": camera.lens.model_copy(update={"ideal": "undistorted"})}
     )
     moved = ideal_light(image, straight)
-    shift = distortion_of(camera).largest_mm * 1e3 / image.pitch_um
+    shift = camera_distortion(camera).largest_mm * 1e3 / image.pitch_um
     assert shift > 1
     assert np.abs(moved.factors[1] - image.factors[1]).max() > 0.05
 

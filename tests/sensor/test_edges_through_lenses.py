@@ -17,10 +17,10 @@ from pixsim.measure.sfr import edge_response
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     Tiling,
+    camera_distortion,
     camera_with_lens,
     channel_wavefronts,
     choose_tiling,
-    distortion_of,
 )
 from pixsim.optics.field_blur import periodic_psf, psf_window
 from pixsim.optics.lens_options import LensOptions
@@ -57,7 +57,7 @@ def coordinates_um(shape: tuple[int, int], pitch_um: float) -> list[Array]:
 
 
 def undistorted_um(camera: Camera, height_um: Array | float) -> Array:
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     assert distortion is not None
     return np.asarray(
         1e3
@@ -69,7 +69,7 @@ def chart(camera: Camera, place_um: float, turn_deg: float, soft_um: float = 0.0
     """Return means over cells of the rendered film of a straight edge that the lens shows through a
     place on the radius.
     """
-    distortion, turn = distortion_of(camera), math.radians(turn_deg)
+    distortion, turn = camera_distortion(camera), math.radians(turn_deg)
     assert distortion is not None
     cell_um = FILM_UM * distortion.widening
     y, x = coordinates_um((ROWS, COLUMNS), cell_um)
@@ -99,7 +99,7 @@ def chart(camera: Camera, place_um: float, turn_deg: float, soft_um: float = 0.0
 
 def pixels_of(camera: Camera, tiling: Tiling, picture: Array) -> Array:
     """Return what pixels without gaps see of a chart, in its unit."""
-    distortion = distortion_of(camera)
+    distortion = camera_distortion(camera)
     assert distortion is not None
     moved = distortion.applied(picture, FILM_UM, distortion.widening)
     image = SpectralImage([NM], 10.0, FILM_UM, factors=(np.ones((1, 1)), np.float32(moved)[None]))

@@ -18,7 +18,7 @@ from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
-from pixsim.optics.veil import veil_of, with_veil_of_whole
+from pixsim.optics.veil import stray_light, with_veil_of_whole
 from pixsim.sensor.integration import (
     PartBehindLens,
     diffracted_rates,
@@ -150,15 +150,15 @@ def test_parts_and_margins_have_the_veil_of_the_whole_field() -> None:
     header = {"diffraction": False}
     image = SpectralImage([550.0], 10.0, SAMPLE_UM, data=data, header=header)
     for part, _ in parts_of(with_veil_of_whole(image, camera), 10.0, Display(dots=96), 16):
-        assert veil_of(part, camera).uniform_w_per_m2_nm == pytest.approx([0.05], rel=1e-12)
-    assert veil_of(
+        assert stray_light(part, camera).uniform_w_per_m2_nm == pytest.approx([0.05], rel=1e-12)
+    assert stray_light(
         image.with_planes(image.planes, header=header | {"veil_of_w_per_m2_nm": ["a"]}), camera
     ).uniform_w_per_m2_nm == [0.05]
     inner = SpectralImage(
         [550.0], 10.0, SAMPLE_UM, data=data, header=header, margin=8
     )  # as many dark samples as bright ones
     inner.data[:] = 7.0
-    assert veil_of(inner, camera).uniform_w_per_m2_nm == pytest.approx(
+    assert stray_light(inner, camera).uniform_w_per_m2_nm == pytest.approx(
         [0.1 * float(inner.whole.data.mean())], rel=1e-6
     )
     right = image.with_planes(image.planes[:, :, 64:])
