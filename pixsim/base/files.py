@@ -536,8 +536,11 @@ def opened(
     max_bytes : of the file. None allows `max_file_bytes`
 
     Raises PixsimError if the file is missing, unreadable, not a regular file, too large, or without
-    a size. Files of /proc have none, and may have no end.
+    a size, which files of /proc have not, and if its name is not UTF-8, which results could not
+    state.
     """
+    if not is_utf8(path):
+        raise invalid(name, f"'{path}'", "a path in UTF-8", "Rename the file or its folder.")
     try:
         mode = os.stat(path).st_mode
         if not stat.S_ISREG(mode):  # opening a pipe or a device can have effects
@@ -570,7 +573,7 @@ def size_of(path: Path, name: str, expected: str, max_bytes: int | None = None) 
         return os.fstat(file.fileno()).st_size
 
 
-def is_utf8(path: Path) -> bool:
+def is_utf8(path: Path | str) -> bool:
     """Whether a path is valid UTF-8, as libraries in C++ require."""
     try:
         str(path).encode()

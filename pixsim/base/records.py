@@ -20,6 +20,7 @@ from pydantic import (
 
 from pixsim.base.bounds import LARGEST, SMALLEST, is_bool, parts_of, value_text
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import is_utf8
 from pixsim.base.hashes import content_hash
 from pixsim.base.layers import Layer, merge_tables
 from pixsim.base.problems import MAX_VALUE, RECORDS, explain
@@ -78,10 +79,15 @@ class Record(BaseModel, metaclass=_RecordType):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _reject_bool_as_number(cls, value: object, info: ValidationInfo) -> object:
+    def _reject_wrong_kinds(cls, value: object, info: ValidationInfo) -> object:
         """Pydantic converts true to 1, also within lists: `bits = true` would be a sensor of one
-        bit.
+        bit. It cannot read names of files that are not UTF-8.
         """
+        for part in parts_of(value):
+            if isinstance(part, str) and not is_utf8(part):
+                raise ValueError(
+                    f"got {value_text(part)}; allowed: text in UTF-8. Rename the file or its folder"
+                )
         if cls.model_fields[info.field_name or ""].annotation is bool:
             return value
         for part in filter(is_bool, parts_of(value)):

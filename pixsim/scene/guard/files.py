@@ -224,10 +224,6 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
 
     Raises PixsimError for files, XML and includes that Mitsuba must not read.
     """
-    if not is_utf8(path):
-        raise invalid(
-            "scene", f"'{path}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder."
-        )
     for name, value in parameters.items():
         if "\0" in value:
             raise invalid(f"scene parameter '{name}'", repr(value), "text without NUL")
