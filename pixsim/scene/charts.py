@@ -38,7 +38,7 @@ MIN_FREQUENCY_LP_PER_MM = 1.0
 MIN_CONTRAST = 0.01  # relative to the largest
 DIE_MM = 2.7136  # 512 pixels of 5.3 µm
 _CSF_STEPS = 2**18
-_CSF_WIDTHS = (8192, 32768)  # of a chart with a highest frequency of its own, in texels
+_CSF_WIDTHS = (8192, 32768)  # texels of a chart whose highest frequency is stated
 # At the highest frequency: bilinear interpolation keeps its contrast to 0.3 %.
 _TEXELS_PER_CYCLE = 32
 # Scene parameter of the CSF chart: its highest frequency on the sensor.
@@ -143,7 +143,9 @@ def csf(
 def _antialiased(
     inside: Callable[[Array, Array], Array], width: int, height: int, dark: float
 ) -> NDArray[np.float32]:
-    """Return the area coverage of a shape, from 8 × 8 points per texel."""
+    """Return a chart, (height, width): 1 in a shape and `dark` outside, means over 8 × 8 points per
+    texel.
+    """
     factor = _POINTS_PER_TEXEL
     x = (np.arange(width * factor) + 0.5) / (width * factor)
     rows = ((np.arange(height * factor) + 0.5) / (height * factor)).reshape(height, factor, 1)
@@ -193,8 +195,8 @@ def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
 def target(
     width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object
 ) -> NDArray[np.float32]:
-    """Return a target on an even field of relative luminance 1, (height, width): the exact share of
-    each texel that it covers.
+    """Return a target on a uniform field of relative luminance 1, (height, width): the exact
+    share of each texel that it covers.
 
     die_mm : side of the square die that the field fills
     fields : of `scene.target.Target`: its `shape`, size on the sensor (`size_um`), `contrast` and

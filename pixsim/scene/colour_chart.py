@@ -3,7 +3,7 @@ with three slide projectors.
 
 Mitsuba has no lamp whose texture and spectrum are both free, but for the spot: each primary of a
 display shines through a slide onto a white screen that fills the die. So the light is three spectra
-times three pictures. The projectors stand so far away that light on the screen is even to 4e-4.
+times three pictures. The projectors stand so far away that light on the screen is uniform to 4e-4.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PRIMARIES = ("red", "green", "blue")
 # Of each slide, as in the grey chart.
 MEAN = sum(LUMINANCE_CD_PER_M2) / (2 * LUMINANCE_CD_PER_M2[1])
 PROJECTOR_M = 30.0  # from the screen
-_BEAM = 1.5  # half width of a slide over that of the screen: its corners are at √2
+_BEAM = 1.5  # half width of a slide over half width of the screen, whose corners are at √2
 SCENE = """<!-- {title}
      Three projectors shine the primaries of a display through slides onto a white screen; all
      slides at 1 are D65 of 1000 cd/m2. The camera looks along +z, up is +y. Row 0 of a slide is

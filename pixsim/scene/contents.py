@@ -32,7 +32,7 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.job import AssetFile, irregular
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, plugin_warnings
 from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_share, check_texels
-from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, numbers, plain
+from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, numbers, plain_values
 
 # The property with the spectrum of each stock emitter.
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
@@ -144,7 +144,8 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
 
 
 def _texture_emission(state: Tree, index: int) -> tuple[tuple[Any, ...], float, int | None] | None:
-    """Return what `_emission` does, for light that a texture describes.
+    """Return spectrum, power and neutral picture of light that a texture describes, or None if they
+    cannot be separated.
 
     index : node of the texture
     """
@@ -158,7 +159,9 @@ def _texture_emission(state: Tree, index: int) -> tuple[tuple[Any, ...], float, 
         return None
     picture = nested[0] if nested else None
 
-    values = {key: value for key, value in plain(node) if isinstance(value, (int, float, str))}
+    values = {
+        key: value for key, value in plain_values(node) if isinstance(value, (int, float, str))
+    }
     table = _table_of(node)
     if node.plugin == "uniform":
         return ("uniform",), float(values.get("value", 1.0)), picture
@@ -250,15 +253,15 @@ def planck(wavelength_nm: Array, temperature_k: float) -> Array:
 
 
 def warnings_of_skies(state: Tree, variant: str) -> list[str]:
-    """Return Mitsuba's warnings of the skies of a scene: that the sun is below the horizon, so that
-    they are dark.
+    """Return Mitsuba's warnings of the skies of a scene, such as that the sun is below the
+    horizon.
     """
     warnings = []
     for _, node in nodes_of(state, "Emitter"):
         if node.plugin != "sunsky":
             continue
         description: dict[str, Any] = {"type": node.plugin}
-        for name, value in plain(node):
+        for name, value in plain_values(node):
             if isinstance(value, int | float | list):
                 description[name] = value
         warnings += [f"{node.plugin}: {text}" for text in plugin_warnings(description, variant)]
@@ -356,10 +359,9 @@ class Surfaces:
         if they are unknown
     unknown : why they are unknown
     span : range that is computed
-    beyond : how the user continues spectra that end within the range, or None if the user says
-        nothing
+    beyond : how spectra go on that end within the range, or None where the user does not state it
     short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
-    ending : surfaces that do not say what they are in all of the range, in words
+    ending : surfaces whose spectra end within the range, for messages
     held : (node, property) -> table in place of the scene's, which goes on to the ends of the
         range, or ends in 0
     """
@@ -399,10 +401,10 @@ class Surfaces:
         spread_pairs = [pairs[index] for index in spread]
         return np.vstack([single, *powers, *series, *(spread_pairs or [single[:0]])])
 
-    def on_grid(self, table: Spectrum, index: int, name: str, words: str) -> Array:
+    def on_grid(self, table: Spectrum, index: int, name: str, label: str) -> Array:
         """Return a spectrum of a node's property on the grid of the range, (G,).
 
-        words : for the surface, in messages
+        label : of the surface, in messages
         """
         low = float(table.nodes_nm[0])
         high = float(table.nodes_nm[-1])
@@ -417,7 +419,7 @@ class Surfaces:
             is_unknown_before = ends_before and self.span.low_nm < LOW_NM
             is_unknown_after = ends_after and self.span.high_nm > HIGH_NM
             if is_unknown_before or is_unknown_after:
-                self.ending.append(f"{words}, {low:g}-{high:g} nm")
+                self.ending.append(f"{label}, {low:g}-{high:g} nm")
         elif ends_before or ends_after:
             if self.beyond == "hold":
                 table = self._held_to_ends(table, ends_before, ends_after)
@@ -449,7 +451,7 @@ def find_surfaces(
 
     span : range that is computed
     beyond : whether spectra that end within the range hold their last value or are zero there, or
-        None if the user says nothing
+        None where the user does not state it
     """
     surfaces = Surfaces(span=span, beyond=beyond)
     try:
@@ -485,16 +487,16 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
                 fresnel = _metal_reflectances(state, node, variant, surfaces.span)
             except PixsimError as error:
                 # Mitsuba names no element in a description that pixsim makes.
-                raise PixsimError(f"the index of {_node_words(node)}: {error}") from None
+                raise PixsimError(f"the index of {_node_label(node)}: {error}") from None
             if surfaces.span != VISIBLE:
-                surfaces.ending.append(f"the metal of {_node_words(node)}")
+                surfaces.ending.append(f"the metal of {_node_label(node)}")
         spectra += fresnel
 
         for name in SPECTRA[plugin]:
             if name not in node:
                 continue
-            words = f"{name} of {_node_words(node)}"
-            colours = _property(state, index, name, variant, surfaces, words)
+            label = f"{name} of {_node_label(node)}"
+            colours = _property(state, index, name, variant, surfaces, label)
             spectra += colours
             if plugin in INSIDE:
                 spectra += [rho / (1 - _INTERNAL_REFLECTION * rho) for rho in colours]
@@ -503,7 +505,7 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
 
 
 def _property(
-    state: Tree, index: int, name: str, variant: str, surfaces: Surfaces, words: str
+    state: Tree, index: int, name: str, variant: str, surfaces: Surfaces, label: str
 ) -> list[Array]:
     """Return the spectra that a property of a node may have; none if it is neutral. Raises
     _UnknownError.
@@ -517,27 +519,27 @@ def _property(
         if not np.ptp(value):
             return []
         colour = tabulated(evaluate_spectrum({"type": "rgb", "value": value}, variant))
-        return [surfaces.on_grid(colour, index, name, f"{words}, an RGB colour")]
+        return [surfaces.on_grid(colour, index, name, f"{label}, an RGB colour")]
     if kind == "Spectrum":
         value = node[name]
-        return [] if value.uniform else [surfaces.on_grid(parsed_table(value), index, name, words)]
+        return [] if value.uniform else [surfaces.on_grid(parsed_table(value), index, name, label)]
 
     child = children(node, state).get(name)
     if child is None:
-        raise _UnknownError(f"an unknown texture in {words}")
+        raise _UnknownError(f"an unknown texture in {label}")
     texture = state.nodes[child]
     if texture.plugin == "uniform" or is_neutral(texture):
         return []
     table = _table_of(texture)
     if table is not None:
-        return [surfaces.on_grid(table, index, name, words)]
+        return [surfaces.on_grid(table, index, name, label)]
     if texture.plugin == "checkerboard":
         spectra: list[Array] = []
         for colour_name in ("color0", "color1"):
             if colour_name in texture:
-                spectra += _property(state, child, colour_name, variant, surfaces, words)
+                spectra += _property(state, child, colour_name, variant, surfaces, label)
         return spectra
-    raise _UnknownError(f"an unknown texture in {words}")
+    raise _UnknownError(f"an unknown texture in {label}")
 
 
 def _metal_reflectances(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
@@ -550,8 +552,8 @@ def _metal_reflectances(state: Tree, node: Node, variant: str, span: Span) -> li
         if name in textures:
             texture = state.nodes[textures[name]]
             if texture.plugin not in ("uniform", "regular", "irregular"):
-                raise _UnknownError(f"an unknown refractive index of {_node_words(node)}")
-            description[name] = {"type": texture.plugin, **dict(plain(texture))}
+                raise _UnknownError(f"an unknown refractive index of {_node_label(node)}")
+            description[name] = {"type": texture.plugin, **dict(plain_values(texture))}
         elif name in node:
             value = node[name]
             if isinstance(value, SpectrumTable) and value.uniform:
@@ -763,7 +765,8 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
     shares: dict[int, str] = {}
     for node in state.nodes:
         for name, index in children(node, state).items():
-            (maps if _takes_map(node, name) else light_textures).add(index)
+            textures = maps if _takes_map(node, name) else light_textures
+            textures.add(index)
             if _is_share(node, name):
                 # The texture, and those within a checkerboard.
                 for texture in (index, *children(state.nodes[index], state).values()):
@@ -802,7 +805,7 @@ def check_shares(state: Tree) -> None:
         for name in node:
             if _is_share(node, name):
                 highest = max(_numbers_of(state, node, name), default=0.0)
-                check_share(highest, f"{node.plugin}.{name}", f"bsdf {_node_words(node)}")
+                check_share(highest, f"{node.plugin}.{name}", f"bsdf {_node_label(node)}")
 
 
 def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
@@ -827,7 +830,7 @@ def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
     return []
 
 
-def _node_words(node: Node) -> str:
+def _node_label(node: Node) -> str:
     """Return the id of a node that has one, or its plugin, for messages."""
     return f"'{node.id}'" if node.id and not node.id.startswith("_") else f"a {node.plugin}"
 
@@ -841,7 +844,7 @@ def _takes_map(node: Node, name: str) -> bool:
 
 @lru_cache(maxsize=1)
 def _texels_of(path: Path, digest: str) -> NDArray[np.float32]:
-    """Return the texels of a neutral EXR, not to be changed: a render needs them several times.
+    """Return the texels of a neutral EXR, shared by several calls, which must not change them.
 
     digest : of the file, so that a changed file is read anew
 

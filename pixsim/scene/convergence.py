@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, Literal, TypeVar
@@ -35,16 +35,16 @@ from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.setting import Effort
 
-RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
+RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation it raises by 2 %
 MAX_RUNS = 1 << 12
 MAX_SPP = 1024  # samples per film cell of one render
 PAIR = 2
 _PAIRS_A_LEVEL = 2
 # With a time limit: a picture of a quarter of the samples comes sooner, and more are added to it.
 _FIRST_LEVEL = -1
-# times the samples of the first pair: what a render is expected to take before its noise is known
+# Times the samples of the first pair: what a render is expected to take before its noise is known.
 UNKNOWN = 8.0
-# Of a time limit and beyond it, for the first pair, without which there is no picture.
+# Beyond a time limit, for the first pair, without which there is no picture: a share of it, and s.
 _GRACE = 0.5
 _GRACE_S = 1.5
 _EndedBy = Literal["target", "samples", "max_seconds", "runs"]
@@ -93,8 +93,8 @@ def render_until(
     max_seconds: float | None = None,
     tolerance_delta_e: float | None = None,
     delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None = None,
-    progress: Progress | None = None,  # fraction done, and the current noise as text
-    keep: bool = False,
+    progress: Progress | None = None,
+    use_cache: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
     """Return the mean of as many independent renders as the sensor noise requires, at least two,
     and its noise.
@@ -108,8 +108,8 @@ def render_until(
         limit finds unfinished is given up.
     tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`. None means none
     delta_e_between : returns the mean ΔE between noise-free pictures of two lights
-    progress : called with the fraction done and the current noise
-    keep : use the cache of renders; the result is the same bit for bit
+    progress : called with the fraction done, and the current noise as text
+    use_cache : whether cached renders are used; the result is the same bit for bit
 
     Renders are summed in two independent halves; half of their difference has the variance of their
     mean, pixel by pixel. Samples are added in pairs of renders, weighted by their samples. Far from
@@ -121,130 +121,210 @@ def render_until(
     Returns the irradiance, with the noise in its header, and the noise. Raises PixsimError if the
     time limit leaves no picture.
     """
-    begun_s = time.monotonic()
-    ends_at_s = None
-    if max_seconds is not None:
-        ends_at_s = begun_s + (1 + _GRACE) * max_seconds + _GRACE_S
-    renderer = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
+    clock = _Clock(max_seconds)
+    renderer = Renderer(
+        scene, camera, plan, seed, use_cache=use_cache, ends_at_s=clock.first_pair_ends_at_s
+    )
     _ = renderer.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.samples.exact:
         pictures, spp = renderer.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
         return renderer.image(pictures, spp, render_noise=asdict(noise)), noise
 
-    derived = [
-        derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel
-        for pixel in pixels
-    ]
-
-    # Limits, of the time or of the samples. Where the same renders ran out of time before, their
-    # number is the limit.
-    pixel_content = [
-        [physics.pixel.model_dump(), physics.technology.content] for physics in derived
-    ]
-    limits = content_hash(
-        [pixel_content, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e]
-    )
-    runs_in_time = None
+    # Where the same renders ran out of time before, their number takes the place of the clock.
+    physics = [_physics(pixel) for pixel in pixels]
+    limits = _hash_of_limits(physics, exposure, render_noise, max_seconds, tolerance_delta_e)
     if renderer.cache and max_seconds is not None:
-        runs_in_time = renderer.cache.runs_in_time(limits)
-    max_samples = _max_samples(renderer) if max_seconds is None else math.inf
-    has_long_paths = plan.many_bounces and max_seconds is None
-    # Samples that a half is expected to need, before its noise is known
-    needed = max_samples if has_long_paths else UNKNOWN * plan.samples.spp
+        clock.runs_in_time = renderer.cache.runs_in_time(limits)
 
-    halves: list[list[Array]] = [[], []]
-    runs = 0
-    weight, samples = 0.0, 0  # samples per film cell of each half, and of both
-    level = 0 if max_seconds is None else _FIRST_LEVEL
-    pairs_at_level = 0
+    # Pairs of renders until the noise is small enough, or a limit is reached.
+    pace = _Pace(renderer, max_seconds)
+    halves = _Halves(renderer)
+    measured_delta_e = delta_e_between if tolerance_delta_e else None
+    reporter = _Reporter(progress, pace.expected_spp)
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    note = ""
-    progress = progress and _increasing(progress)
-    ended: _EndedBy | None = None
-    while ended is None:
-        pair = _pair(renderer, runs, level, weight, needed, progress, note)
+    ended_by: _EndedBy | None = None
+    while ended_by is None:
         try:
-            # With a time limit, all of a pair counts or nothing.
-            renders = pair if max_seconds is None else [*pair]
+            spp = halves.add(_pair(halves, pace.level, reporter), whole=max_seconds is not None)
         except OutOfTimeError:
-            if not runs:
+            if not halves.runs:
                 raise
-            ended = "max_seconds"
-            noise = replace(noise, ended_by=ended)
+            ended_by = "max_seconds"
+            noise = replace(noise, ended_by=ended_by)
             break
-        for number, (pictures, spp) in enumerate(renders):
-            halves[number] = halves[number] or [zeros(picture.shape) for picture in pictures]
-            _add(halves[number], pictures, spp)
-            del pictures  # or it would be a third picture in memory
-            runs += 1
-            samples += spp
-        weight += spp
-        pairs_at_level += 1
 
-        # Noise
-        fraction, relative = _noise_of_halves(renderer, halves, weight, derived, exposure)
-        measure = delta_e_between if tolerance_delta_e else None
-        delta_e = _halves_delta_e(renderer, halves, weight, measure)
+        fraction, relative = halves.noise(physics, exposure)
+        delta_e = halves.delta_e(measured_delta_e)
         noise = RenderNoise(
-            fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e
+            fraction, relative, render_noise, halves.runs, "target", delta_e, tolerance_delta_e
         )
 
-        # Samples of the next pair
-        samples_left = max_samples - weight
-        if level < 0 or _needs_more_samples(noise, spp, pairs_at_level, samples_left):
-            level += 1
-            pairs_at_level = 0
+        pace.set_level(noise, spp, halves.spp)
+        spent_s = clock.spent_s()
+        ended_by = _ended_by(
+            noise,
+            no_samples_left=spp > pace.max_spp - halves.spp,
+            is_late=clock.is_late(spent_s, halves.runs),
+        )
+        noise = replace(noise, ended_by=ended_by or "target")
 
-        # End
-        spent_s = time.monotonic() - begun_s
-        is_late = spent_s > max_seconds if max_seconds is not None else False
-        if runs_in_time:
-            is_late = runs >= runs_in_time
-        ended = _ended_by(noise, no_samples_left=spp > samples_left, is_late=is_late)
-        noise = replace(noise, ended_by=ended or "target")
+        reporter.note = f", render noise {noise.fraction:.2g} of sensor noise"
+        reporter.expected_spp = pace.expected_spp_of(noise, halves.spp, spent_s)
+        renderer.ends_at_s = clock.ends_at_s  # there is a picture now
 
-        # Progress
-        note = f", render noise {noise.fraction:.2g} of sensor noise"
-        needed = min(noise.excess**2 * weight, max_samples)
-        if max_seconds is not None:
-            needed = min(needed, weight * max_seconds / max(spent_s, 1e-9))
-            renderer.ends_at_s = begun_s + max_seconds  # there is a picture now
-
-    if ended == "max_seconds" and renderer.cache:
-        renderer.cache.store_runs_in_time(limits, runs)
+    if ended_by == "max_seconds" and renderer.cache:
+        renderer.cache.store_runs_in_time(limits, halves.runs)
     if noise.delta_e is None:
-        delta_e = _halves_delta_e(renderer, halves, weight, delta_e_between)
-        noise = replace(noise, delta_e=delta_e)
-    if ended != "target":
-        warn(_limit_note(ended, plan, noise, max_seconds))
+        noise = replace(noise, delta_e=halves.delta_e(delta_e_between))
+    if ended_by != "target":
+        warn(_limit_note(ended_by, plan, noise, max_seconds))
+    return renderer.image(
+        halves.average(), halves.samples, render_noise=_header_entry(noise)
+    ), noise
 
-    _average(halves[0], halves[1], weight)
-    halves.pop()
-    entry = {
+
+def _physics(pixel: Pixel | PixelPhysics) -> PixelPhysics:
+    if isinstance(pixel, Pixel):
+        return derive(pixel, load_technology(pixel.technology))
+    return pixel
+
+
+def _hash_of_limits(
+    pixels: Sequence[PixelPhysics],
+    exposure: Exposure,
+    render_noise: float,
+    max_seconds: float | None,
+    tolerance_delta_e: float | None,
+) -> str:
+    """Return a hash of all that ends the renders of one job."""
+    pixel_content = [[pixel.pixel.model_dump(), pixel.technology.content] for pixel in pixels]
+    return content_hash(
+        [pixel_content, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e]
+    )
+
+
+def _header_entry(noise: RenderNoise) -> dict[str, Any]:
+    """Return a noise as the entry of an image's header, with six digits."""
+    return {
         key: float(f"{value:.6g}") if isinstance(value, float) else value
         for key, value in asdict(noise).items()
     }
-    return renderer.image(halves[0], samples, render_noise=entry), noise
 
 
-def _max_samples(renderer: Renderer) -> float:
-    """Return the limit of the samples per film cell of each half."""
-    plan = renderer.plan
-    return plan.most_samples / (PAIR * math.prod(renderer.size) * plan.light.passes)
+class _Clock:
+    """The time limit of a render, which begins now.
 
-
-def _needs_more_samples(
-    noise: RenderNoise, spp: int, pairs_at_level: int, samples_left: float
-) -> bool:
-    """Return whether the next pair has four times the samples: far from the target, after some
-    pairs with as many, and within the limits.
-
-    spp, samples_left : samples per film cell of a render, and those that a half may still have
+    max_seconds : None means no limit
+    runs_in_time : after how many runs the time counts as spent, whatever the clock says. None asks
+        the clock
     """
-    is_far = noise.excess**2 > LEVEL_FACTOR / 2
-    may_grow = spp < MAX_SPP and spp * LEVEL_FACTOR <= samples_left
-    return is_far and may_grow and pairs_at_level >= _PAIRS_A_LEVEL
+
+    def __init__(self, max_seconds: float | None) -> None:
+        self.max_seconds = max_seconds
+        self.begun_s = time.monotonic()
+        self.runs_in_time: int | None = None
+
+    @property
+    def first_pair_ends_at_s(self) -> float | None:
+        """When the first pair is given up, which gets more time."""
+        if self.max_seconds is None:
+            return None
+        return self.begun_s + (1 + _GRACE) * self.max_seconds + _GRACE_S
+
+    @property
+    def ends_at_s(self) -> float | None:
+        """When other pairs are given up."""
+        return None if self.max_seconds is None else self.begun_s + self.max_seconds
+
+    def spent_s(self) -> float:
+        """Return the time since the beginning."""
+        return time.monotonic() - self.begun_s
+
+    def is_late(self, spent_s: float, runs: int) -> bool:
+        """Return whether the time is spent after a number of runs."""
+        if self.runs_in_time:
+            return runs >= self.runs_in_time
+        return self.max_seconds is not None and spent_s > self.max_seconds
+
+
+class _Pace:
+    """How many samples the next pair of renders has.
+
+    level : each has four times the samples of the one below
+    max_spp : limit of the samples per film cell of each half
+    expected_spp : samples per film cell that a half is expected to need, before its noise is known
+    """
+
+    def __init__(self, renderer: Renderer, max_seconds: float | None) -> None:
+        plan = renderer.plan
+        self.max_seconds = max_seconds
+        self.level = 0 if max_seconds is None else _FIRST_LEVEL
+        self.max_spp = math.inf
+        if max_seconds is None:
+            film_samples = math.prod(renderer.size) * plan.light.passes
+            self.max_spp = plan.most_samples / (PAIR * film_samples)
+
+        self.expected_spp = UNKNOWN * plan.samples.spp
+        if plan.many_bounces and max_seconds is None:
+            self.expected_spp = self.max_spp
+        self._pairs_at_level = 0
+
+    def set_level(self, noise: RenderNoise, pair_spp: int, half_spp: float) -> None:
+        """Go to the next level far from the target, after some pairs with as many samples, and
+        within the limits; and in any case after the first pair of a time limit.
+
+        pair_spp, half_spp : samples per film cell of each render of the last pair, and of a half
+        """
+        self._pairs_at_level += 1
+        is_far = noise.excess**2 > LEVEL_FACTOR / 2
+        next_spp = pair_spp * LEVEL_FACTOR
+        may_grow = pair_spp < MAX_SPP and next_spp <= self.max_spp - half_spp
+        grows = is_far and may_grow and self._pairs_at_level >= _PAIRS_A_LEVEL
+        if self.level < 0 or grows:
+            self.level += 1
+            self._pairs_at_level = 0
+
+    def expected_spp_of(self, noise: RenderNoise, half_spp: float, spent_s: float) -> float:
+        """Return the samples per film cell that a half is expected to have at the end.
+
+        half_spp : those that it has, after `spent_s`
+        """
+        expected_spp = min(noise.excess**2 * half_spp, self.max_spp)
+        if self.max_seconds is None:
+            return expected_spp
+        return min(expected_spp, half_spp * self.max_seconds / max(spent_s, 1e-9))
+
+
+class _Reporter:
+    """Reports the progress of pairs of renders; never back, though the rest of a render is known
+    from its noise only.
+
+    expected_spp : samples per film cell that a half is expected to have at the end
+    note : text beside the fraction
+    """
+
+    def __init__(self, progress: Progress | None, expected_spp: float) -> None:
+        self.progress = progress
+        self.expected_spp = expected_spp
+        self.note = ""
+        self._max_done = 0.0
+
+    def of_render(self, begin_spp: float, end_spp: float, pair_end_spp: float) -> Progress | None:
+        """Return the progress of one render.
+
+        begin_spp, end_spp : samples per film cell of a half before and after it
+        pair_end_spp : after its pair
+        """
+        if self.progress is None:
+            return None
+        total_spp = max(self.expected_spp, pair_end_spp)
+        return share_of(self._report, begin_spp / total_spp, end_spp / total_spp, self.note)
+
+    def _report(self, done: float, note: str) -> None:
+        assert self.progress is not None
+        self._max_done = max(self._max_done, done)
+        self.progress(self._max_done, note)
 
 
 def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _EndedBy | None:
@@ -258,38 +338,125 @@ def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _E
     return "runs" if noise.runs >= MAX_RUNS else None
 
 
-def _increasing(progress: Progress) -> Progress:
-    """Return a progress that never goes back, though the rest of a render is known from its
-    noise only.
-    """
-    most_done = 0.0
-
-    def report(done: float, note: str) -> None:
-        nonlocal most_done
-        most_done = max(most_done, done)
-        progress(most_done, note)
-
-    return report
-
-
-def _pair(
-    renderer: Renderer,
-    runs: int,
-    level: int,
-    weight: float,
-    needed: float,
-    progress: Progress | None,
-    note: str,
-) -> Iterator[tuple[list[Any], int]]:
-    """Iterate over the next two renders.
-
-    weight, needed : samples per film cell of the renders before, and those that are needed
-    """
+def _pair(halves: _Halves, level: int, reporter: _Reporter) -> Iterator[tuple[list[Any], int]]:
+    """Iterate over the next two renders."""
+    renderer = halves.renderer
+    runs = halves.runs
+    before_spp = halves.spp
     spp = renderer.plan.samples.spp * LEVEL_FACTOR**level
-    total = max(needed, weight + spp)
     for number in range(PAIR):
-        first, last = ((weight + spp * part / PAIR) / total for part in (number, number + 1))
-        yield renderer.run(runs + number, share_of(progress, first, last, note), level)
+        begin_spp = before_spp + spp * number / PAIR
+        end_spp = before_spp + spp * (number + 1) / PAIR
+        progress = reporter.of_render(begin_spp, end_spp, before_spp + spp)
+        yield renderer.run(runs + number, progress, level)
+
+
+class _Halves:
+    """Two independent halves of the renders, as sums of pictures times their samples. Memory does
+    not grow with the number of renders.
+
+    renderer : of all of them
+    runs : number of renders
+    spp : samples per film cell of each half
+    samples : samples per film cell of both halves
+    """
+
+    def __init__(self, renderer: Renderer) -> None:
+        self.renderer = renderer
+        self.runs = 0
+        self.spp = 0.0
+        self.samples = 0
+        self._sums: list[list[Array]] = [[], []]
+
+    def add(self, pair: Iterable[tuple[list[Any], int]], *, whole: bool) -> int:
+        """Add a render to each half, and return the samples per film cell of each.
+
+        whole : add both or none, as a time limit needs it; else one after the other, in less memory
+        """
+        renders = [*pair] if whole else pair
+        for number, (pictures, spp) in enumerate(renders):
+            if not self._sums[number]:
+                self._sums[number] = [zeros(picture.shape) for picture in pictures]
+            _add(self._sums[number], pictures, spp)
+            del pictures  # or it would be a third picture in memory
+            self.runs += 1
+            self.samples += spp
+        self.spp += spp
+        return spp
+
+    def noise(self, pixels: Sequence[PixelPhysics], exposure: Exposure) -> tuple[float, float]:
+        """Return the noise of the mean of both halves, as a fraction of sensor noise and relative,
+        for the worst pixel.
+
+        Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
+        pixels, the ones in `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
+        """
+        fractions = [0.0]
+        relatives = [0.0]
+        for physics in pixels:
+            first, second = self._signal_rates(physics)
+            mean_rate = np.maximum((first + second) / 2, 0.0)
+            error_rate = (first - second) / 2
+
+            readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
+            time_s = integration_time_s(exposure, readout, float(mean_rate.max()))
+            variance_dn2 = frame_variance_dn2(
+                mean_rate * time_s, time_s, readout, fixed_pattern=False
+            )
+            error_e = error_rate * time_s
+            fraction = float(np.mean(error_e**2 / (variance_dn2 / readout.dn_per_e**2)))
+            fractions.append(math.sqrt(fraction))
+            power_e2 = float(np.mean((mean_rate * time_s) ** 2))
+            if power_e2:
+                relatives.append(math.sqrt(float(np.mean(error_e**2)) / power_e2))
+        return max(fractions), max(relatives)
+
+    def _signal_rates(self, physics: PixelPhysics) -> list[Array]:
+        """Return the photocurrents of the pixels in the measured parts of the film, (pixels,)
+        electrons/s, from each half.
+        """
+        renderer = self.renderer
+        pixels_per_cell = renderer.pitch_um / physics.pitch_um
+        parts = measured_parts(renderer.size, pixels_per_cell, renderer.margin)
+        rates = []
+        for pictures in self._sums:
+            part_rates = [
+                integrate_pixels(
+                    _rate(renderer, pictures, physics, part),
+                    renderer.pitch_um,
+                    physics.pitch_um,
+                    physics.aperture_side_um,
+                ).ravel()
+                for part in parts
+            ]
+            rates.append(np.concatenate(part_rates) / self.spp)
+        return rates
+
+    def delta_e(
+        self, delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None
+    ) -> float | None:
+        """Return half of the mean ΔE between the pictures of both halves, or None where nobody
+        compares them, or one of them is black.
+        """
+        if delta_e_between is None:
+            return None
+        if not all(any(map(self.renderer.has_light, half)) for half in self._sums):
+            return None
+        first, second = (self.renderer.image(_means(half, self.spp), 0) for half in self._sums)
+        return delta_e_between(first, second) / 2
+
+    def average(self) -> list[Array]:
+        """Return the mean of both halves, which takes the place of the first one: pictures of all
+        bands are large.
+        """
+        first_half, second_half = self._sums
+        for mean, second in zip(first_half, second_half, strict=True):
+            for rows in strips(*mean.shape[:2]):
+                mean[rows] += second[rows]
+                mean[rows] /= 2 * self.spp
+                release(mean[rows], second[rows])
+        self._sums.pop()
+        return first_half
 
 
 def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) -> None:
@@ -300,44 +467,13 @@ def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) 
             release(total[rows], picture[rows])
 
 
-def _average(first_half: Sequence[Array], second_half: Sequence[Array], weight: float) -> None:
-    """Make the first half the mean of both, in place: pictures of all bands are large.
-
-    weight : samples of each half
-    """
-    for mean, second in zip(first_half, second_half, strict=True):
-        for rows in strips(*mean.shape[:2]):
-            mean[rows] += second[rows]
-            mean[rows] /= 2 * weight
-            release(mean[rows], second[rows])
-
-
-def _halves_delta_e(
-    renderer: Renderer,
-    halves: Sequence[Sequence[Array]],
-    weight: float,
-    delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None,
-) -> float | None:
-    """Return half of the mean ΔE between the pictures of two halves, or None where nobody compares
-    them, or one of them is black.
-
-    weight : samples of each half
-    """
-    if delta_e_between is None:
-        return None
-    if not all(any(renderer.has_light(picture) for picture in half) for half in halves):
-        return None
-    first, second = (renderer.image(_means(half, weight), 0) for half in halves)
-    return delta_e_between(first, second) / 2
-
-
-def _means(totals: Sequence[Array], weight: float) -> list[NDArray[np.float32]]:
-    """Return sums of pictures over the weight of their samples."""
+def _means(totals: Sequence[Array], spp: float) -> list[NDArray[np.float32]]:
+    """Return sums of pictures times their samples, over all samples per film cell."""
     means = []
     for total in totals:
         mean: NDArray[np.float32] = zeros(total.shape, np.float32)
         for rows in strips(*total.shape[:2]):
-            mean[rows] = total[rows] / weight
+            mean[rows] = total[rows] / spp
             release(mean[rows], total[rows])
         means.append(mean)
     return means
@@ -402,62 +538,6 @@ def repeatable_settings(settings: Settings, image: SpectralImage) -> Settings:
     return settings.model_copy(update=no_limit)
 
 
-def _noise_of_halves(
-    renderer: Renderer,
-    halves: list[list[Array]],
-    weight: float,
-    pixels: Sequence[PixelPhysics],
-    exposure: Exposure,
-) -> tuple[float, float]:
-    """Return the noise of the mean of two halves, as a fraction of sensor noise and relative, for
-    the worst pixel.
-
-    Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
-    pixels, the ones in `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
-
-    weight : samples of each half
-    """
-    fractions = [0.0]
-    relatives = [0.0]
-    for physics in pixels:
-        parts = measured_parts(renderer.size, renderer.pitch_um / physics.pitch_um, renderer.margin)
-        first, second = (_signal_rates(renderer, half, physics, parts) / weight for half in halves)
-        mean_rate = np.maximum((first + second) / 2, 0.0)
-        error_rate = (first - second) / 2
-
-        readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
-        time_s = integration_time_s(exposure, readout, float(mean_rate.max()))
-        variance_dn2 = frame_variance_dn2(mean_rate * time_s, time_s, readout, fixed_pattern=False)
-        error_e = error_rate * time_s
-        fraction = float(np.mean(error_e**2 / (variance_dn2 / readout.dn_per_e**2)))
-        fractions.append(math.sqrt(fraction))
-        power_e2 = float(np.mean((mean_rate * time_s) ** 2))
-        if power_e2:
-            relatives.append(math.sqrt(float(np.mean(error_e**2)) / power_e2))
-    return max(fractions), max(relatives)
-
-
-def _signal_rates(
-    renderer: Renderer,
-    pictures: Sequence[Array],
-    physics: PixelPhysics,
-    parts: Sequence[tuple[slice, slice]],
-) -> Array:
-    """Return the photocurrents of the pixels in parts of the film, (pixels,) electrons/s, times
-    the weight of the pictures.
-    """
-    rates = [
-        integrate_pixels(
-            _rate(renderer, pictures, physics, part),
-            renderer.pitch_um,
-            physics.pitch_um,
-            physics.aperture_side_um,
-        )
-        for part in parts
-    ]
-    return np.concatenate([rate.ravel() for rate in rates])
-
-
 def measured_parts(
     shape: tuple[int, int], pixels_per_cell: float, margin: int = 0
 ) -> list[tuple[slice, slice]]:
@@ -467,15 +547,17 @@ def measured_parts(
     pixels_per_cell : along each side
     margin : cells at each side of the film to which rows and columns are counted
     """
-    thinner = math.sqrt(math.prod(shape) * pixels_per_cell**2 / MEASURED)
-    if thinner <= 1 or min(shape) < PARTS:
+    thinning = math.sqrt(math.prod(shape) * pixels_per_cell**2 / MEASURED)
+    if thinning <= 1 or min(shape) < PARTS:
         return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 
     cells_per_pixel = math.ceil(1 / pixels_per_cell)
     rows, columns = (
         [
             slice(part.start + margin, part.stop + margin)
-            for part in spread_parts(count, max(1, cells_per_pixel, round(count / PARTS / thinner)))
+            for part in spread_parts(
+                count, max(1, cells_per_pixel, round(count / PARTS / thinning))
+            )
         ]
         for count in shape
     )

@@ -1,5 +1,5 @@
-"""The film: how many samples across the die a pixel, a lens and a display need, and what a film
-takes of memory.
+"""The film: how many samples across the die a pixel, a lens and a display need, and how much memory
+a film takes.
 
 The display shows nothing finer than its dots, and the lens passes nothing finer than half a period
 of its cut-off. What the photodiodes of smaller pixels see comes back, as aliasing, only down to
@@ -25,18 +25,18 @@ MAX_BYTES = 2 << 30
 # lens, and of paths.
 CHART_SAMPLES = 1 << 27
 PATH_SAMPLES = 20_000_000
-# Float64 light, its transforms and integrals; each pulse in two halves and the result.
+# Of a cell: float64 light, its transforms and integrals; of a pulse: two halves and the result.
 _BYTES_PER_CELL = 48
 _BYTES_PER_VALUE = 24
 PROGRAM_BYTES = 1 << 28  # Python, Mitsuba and its kernels
 _STRIP_BYTES = 1 << 29  # of a render
 BLOCK = 4  # cells are averaged 4 × 4 to measure the film's error
 FILM_ROUNDING = 1e-6  # of a cell: the ratio of the die's sides is rounded
-_WIDENED = 1 / 8  # by which a film may be wider than needed, to end where the die ends
+_WIDENED = 1 / 8  # share by which a film may be wider than needed, to end where the die ends
 
 
 def dots_across(camera: Camera, display: Display, pitch_um: float) -> float:
-    """Return the display's dots across the die: its own, or with one_to_one the pixels."""
+    """Return the display's dots across the die; with one_to_one, the pixels."""
     return 1e3 * camera.die_mm / pitch_um if display.raster == "one_to_one" else float(display.dots)
 
 

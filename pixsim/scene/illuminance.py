@@ -22,14 +22,15 @@ _BALANCE = 1e-6  # by which the ratios of lamps may differ through rounding
 def strength(
     lux: float,
     stated_lux: float,
-    as_written: Sequence[Lamp],
-    now: Sequence[Lamp],
+    written_lamps: Sequence[Lamp],
+    lamps: Sequence[Lamp],
     parameters: Sequence[str],
 ) -> float:
     """Return the factor for all lamps that gives the scene's place an illuminance of `lux`.
 
-    stated_lux : of the scene's place, with the lamps `as_written` in its file
-    now : the lamps with the parameters of the user, named `parameters`
+    stated_lux : of the scene's place, under the lamps as its file has them
+    written_lamps : of the file
+    lamps : with the parameters of the user, named `parameters`
 
     Raises PixsimError if the parameters change the lamps' balance, or if their light is unknown or
     invisible.
@@ -39,9 +40,9 @@ def strength(
     if not low <= lux <= high:
         raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{low:g} to {high:g} lx")
 
-    before = luminances(as_written)
-    after = luminances(now)
-    is_stated = all(lamp.spectrum is not None for lamp in (*as_written, *now))
+    before = luminances(written_lamps)
+    after = luminances(lamps)
+    is_stated = all(lamp.spectrum is not None for lamp in (*written_lamps, *lamps))
     if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
         raise invalid(
             ILLUMINANCE,

@@ -49,12 +49,12 @@ _MIN_END_SHARE = 1e-3  # of its largest value: a lamp's table that ends with les
 _LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
 _SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
 _SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
-MAX_NAMED = 4  # surfaces, in a message
+MAX_NAMED = 4  # names of surfaces in a message
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a scene has, as a camera sees it.
+    """The lamps, surfaces and shapes of a scene, seen by a camera.
 
     scene, camera : the scene, and the thin lens that sees it
     state, sensor : its parsed tree for this camera, and the node of its sensor
@@ -115,32 +115,32 @@ class Inspection:
     @property
     def warnings(self) -> list[Note]:
         """Possible problems of the scene."""
-        words = []
+        texts = []
         if self.surfaces.short:
             ranges = ", ".join(sorted(self.surfaces.short))
-            words.append(
+            texts.append(
                 f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them"
                 " to 360-830 nm"
             )
         if self.surfaces.ending:
-            words.append(
+            texts.append(
                 f"outside {VISIBLE.words} these are what Mitsuba makes of them:"
                 f" {_named(self.surfaces.ending)}"
             )
-        words += [
+        texts += [
             *warnings_of_skies(self.state, self.scene.choice.reading),
             *_light_that_ends(self),
         ]
-        return [Note("scene", words=text) for text in words]
+        return [Note("scene", words=text) for text in texts]
 
 
 def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) -> Inspection:
-    """Return what a scene has, as a thin lens sees it.
+    """Return the lamps, surfaces and shapes of a scene, seen through a thin lens.
 
     pixels : whose response decides on the range that is computed
 
     Raises PixsimError for a scene without light in that range, for a lamp that is negative or not
-    finite, and for a surface of which nobody says what it is there.
+    finite, and for a surface whose spectrum ends within that range.
     """
     state = scene.for_camera(camera)
     reading = scene.choice.reading
@@ -246,9 +246,7 @@ def _largest_share(inspection: Inspection, light: Array, beyond: NDArray[np.bool
 
 
 def _unknown_beyond(surfaces: Surfaces) -> PixsimError:
-    """Return the error for surfaces of which nobody says what they are in all of the range that is
-    computed.
-    """
+    """Return the error for surfaces whose spectra end within the range that is computed."""
     got = (
         f"{_named(surfaces.ending)}, under a lamp with light that the sensor sees in"
         f" {surfaces.span.words}"
@@ -262,10 +260,10 @@ def _unknown_beyond(surfaces: Surfaces) -> PixsimError:
 
 
 def _named(surfaces: Sequence[str]) -> str:
-    """Return the first of some surfaces, as text."""
-    return "; ".join(surfaces[:MAX_NAMED]) + f"; and {len(surfaces) - MAX_NAMED} more" * (
-        len(surfaces) > MAX_NAMED
-    )
+    """Return the names of surfaces for a message: the first of them, and how many follow."""
+    names = "; ".join(surfaces[:MAX_NAMED])
+    more_count = len(surfaces) - MAX_NAMED
+    return f"{names}; and {more_count} more" if more_count > 0 else names
 
 
 def _no_light(span: Span) -> PixsimError:

@@ -59,7 +59,9 @@ from pixsim.sensor.spectral_range import (
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.display_options import Display
 
-STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
+# Subjects of decisions
+STACK = "pixel stack"
+FILM = "oversampling"
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction
 # (rules.py).
 BANDS_SHARE = 0.25
@@ -403,7 +405,7 @@ def make_render_plan(
 
 
 def _packaged_pixels() -> list[PixelPhysics]:
-    """Return pixels of the packaged response curves, which stand for those that nobody states."""
+    """Return pixels with the packaged response curves, for a plan without a pixel."""
     return [
         derive(Pixel(technology=name, pitch_um=10.0), load_technology(name)) for name in RESPONSES
     ]
@@ -447,7 +449,7 @@ def _plan_inspected_scene(
     """Return the plan of an inspected scene, without a white plate.
 
     camera : with its real lens
-    pixels : whose electrons have the tolerance; none where nobody states one
+    pixels : whose electrons have the tolerance; none where the user states none
     tiling, lens_decisions : from `decide_real_lens`
     """
     scene = inspection.scene

@@ -18,9 +18,8 @@ from pixsim.scene.rules import Decision
 from pixsim.scene.scene import Scene
 from pixsim.sensor.pixel import PixelPhysics
 
-SEEN_NM = np.arange(
-    400.0, 701.0, 10.0
-)  # light for which tiles are chosen: even in energy, as the sensor sees it
+# Light for which tiles are chosen: uniform in energy, weighted as the sensor sees it
+SEEN_NM = np.arange(400.0, 701.0, 10.0)
 _THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
 _DEFOCUS = "defocus of the lens"  # subject of a decision
 # of mean electrons, for the rms error of the blur over the rms of a picture: 1 % by default
@@ -35,15 +34,15 @@ def decide_real_lens(
     full: bool,
     aperture_um: float | None = None,
 ) -> tuple[Tiling | None, list[Decision]]:
-    """Return how the blur of a real lens is computed, and the decision. None and no decision for a
-    thin lens.
+    """Return how the blur of a real lens is computed, and the decision.
 
-    None too if a thin lens of its image distance and f-number gives the same electrons within the
-    tolerance. All films with a sample or more across a photodiode have one tiling, made for two
-    samples: photodiodes average what finer films add.
+    There is no blur if a thin lens of its image distance and f-number gives the same electrons
+    within the tolerance, and no decision either for a thin lens. All films with a sample or more
+    across a photodiode have one tiling, made for two samples: photodiodes average what finer films
+    add.
 
-    aperture_um : side of a photodiode. None means the pixel's, and two samples of the film
-        without one
+    aperture_um : side of a photodiode. None takes the pixel's, or two samples of the film if there
+        is no pixel
     """
     lens = camera.lens
     if lens is None or camera.chief_ray_angle is None:
@@ -91,8 +90,8 @@ def decide_real_lens(
 
 
 def real_lens_warnings(camera: Camera, tiling: Tiling | None, tolerance_e: float) -> list[Note]:
-    """Return what a real lens does to the picture that the simulation cannot show rightly, or that
-    a user may not expect.
+    """Return notes on the image circle of a real lens, and on a blur whose error exceeds the
+    tolerance.
     """
     if camera.lens is None:
         return []

@@ -193,19 +193,19 @@ Picture = NDArray[np.float32] | Array
 _SAMPLES_PER_KERNEL = 1 << 25
 # Of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart.
 SAMPLES_TOGETHER = 1 << 22
-# Memory for their sums, in float32 and float64; fewer samples than 4 in a cell are rare.
+# Limits the memory of the sums, in float32 and float64; fewer samples than 4 in a cell are rare.
 _CELLS_PER_KERNEL = 1 << 23
 _SCALAR_STRIPS = 16
 # Of scalar variants; with fewer, the start of a render takes longer than the samples.
 _SAMPLES_PER_STRIP = 1 << 16
-# Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
+# Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64.
 _SPP_PER_RENDER = 4096
 _BLACK_HINT = (
     "Check that shapes are in view and face the camera, and that lamps face them: area lights and"
     " most surfaces are one-sided; that the camera is in no shape; that no picture of a lamp is 0;"
     " and that hide_emitters is off."
 )
-_DEPTH_PLACES = 32  # across and down, at which a scene's depth is looked at
+_DEPTH_PLACES = 32  # across and down the film, at which depths are measured
 _PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by
 # the number of samples of a strip, modulo 2³². Consecutive runs take consecutive seeds.
@@ -292,7 +292,7 @@ def render(
 class Renderer:
     """Independent renders of one scene, loaded once per lamp spectrum on first use.
 
-    keep : use the cache of renders
+    use_cache : whether cached renders are used, and new ones stored
     ends_at_s : time of `time.monotonic` at which a trace is given up (`OutOfTimeError`). None waits
         for it
     """
@@ -304,7 +304,7 @@ class Renderer:
         plan: Plan,
         seed: int,
         *,
-        keep: bool = False,
+        use_cache: bool = False,
         ends_at_s: float | None = None,
     ) -> None:
         camera = plan.film.camera_of(camera)
@@ -338,7 +338,7 @@ class Renderer:
             node.plugin in _PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter")
         )
         self.cache: CachedRenders | None = None
-        if keep:
+        if use_cache:
             self.cache = CachedRenders(_hash_of_job(scene, state, camera, plan, seed))
 
     def _trace_job(self, state: Tree) -> TraceJob:
@@ -640,7 +640,7 @@ class Renderer:
     @cached_property
     def diffuser(self) -> dict[str, Any]:
         """The entry of a header on a white plate at the object's distance, or on texel value 1 of
-        an emissive chart, if the scene wants one.
+        an emissive chart, if the scene asks for one.
 
         Raises PixsimError if no light reaches the plate.
         """
@@ -651,7 +651,9 @@ class Renderer:
         if plate is None:
             return {DIFFUSER: light.chart_white}
 
-        spectrum = _plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
+        spectrum = _plate_spectrum(
+            plate, use_cache=self.cache is not None, ends_at_s=self.ends_at_s
+        )
         per_nm = spectrum.cell_means(light.bands.edges_nm)
         entry = {
             "distance_m": float(f"{plate.distance_m:.6g}"),
@@ -668,7 +670,7 @@ class Renderer:
         return False
 
     def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
-        """Iterate over the irradiance in each band; all bands at once would fill the memory."""
+        """Iterate over the irradiance in each band; all bands together would fill the memory."""
         factor = self.on_axis * fall_off
         for band in range(self.plan.light.bands.width_nm.size):
             total = np.zeros(fall_off.shape)
@@ -706,7 +708,7 @@ def mirror_margins(planes: Picture, margin: int, ends: tuple[bool, bool]) -> Non
     image.
 
     margin : cells at each side beyond the film, at most half of its sides
-    ends : as in `Plan`
+    ends : whether the scene ends with the film, above and below, and at the left and the right
     """
     if not margin:
         return
@@ -766,7 +768,7 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
 
 
 def _plate_spectrum(
-    plate: WhitePlate, *, keep: bool = False, ends_at_s: float | None = None
+    plate: WhitePlate, *, use_cache: bool = False, ends_at_s: float | None = None
 ) -> Spectrum:
     """Return the radiance of a white plate in a scene, W m⁻² sr⁻¹ nm⁻¹, constant within each band
     of its plan.
@@ -774,12 +776,17 @@ def _plate_spectrum(
     Samples are added until the standard error over the cells of its picture is at most a thousandth
     of it.
 
-    keep, ends_at_s : as in `Renderer`
+    use_cache, ends_at_s : see `Renderer`
 
     Raises PixsimError if no light reaches it.
     """
     renderer = Renderer(
-        plate.scene, plate.camera, plate.plan, white_plate.SEED, keep=keep, ends_at_s=ends_at_s
+        plate.scene,
+        plate.camera,
+        plate.plan,
+        white_plate.SEED,
+        use_cache=use_cache,
+        ends_at_s=ends_at_s,
     )
     renderer.job = replace(renderer.job, lens=plate.lens)
     bands = plate.plan.light.bands

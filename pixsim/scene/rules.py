@@ -42,7 +42,9 @@ if TYPE_CHECKING:
 
 TEXTURE_SAMPLES = "texture samples"  # subject of a decision
 TOLERANCE_E = 1e-3  # relative error of the mean electrons
-BLUR_SHARE, DIFFRACTION_SHARE = 0.1, 0.1  # of the tolerance, for leaving out blur and diffraction
+# Of the tolerance, for leaving out blur and diffraction
+BLUR_SHARE = 0.1
+DIFFRACTION_SHARE = 0.1
 # A blur disc of diameter c moves 2c/(3π) of the light across an edge, which is at the centre of a
 # pixel on average.
 BLURRED_EDGE = 2 / (3 * math.pi)
@@ -61,7 +63,7 @@ _MIN_MULTIJITTER_SPP = 16
 _UNLIMITED = -1  # number of bounces or surfaces
 
 # Charts
-TRIED_SIDE = 512  # samples of a part of the film, where a chart that diffraction changes shows it
+TRIED_SIDE = 512  # samples of a part of the film, in which diffraction is tried first
 BORDER = 64  # samples of a part that reflection at its sides may change
 RESOLVED = 0.999  # of the variance of a chart, in the frequencies that a film has to resolve
 _SPECTRUM_LINES = 128  # of a texture, whose spectrum is computed
@@ -253,13 +255,17 @@ def _cell_weights(
 
 @_by_content
 def diffraction_effect(
-    chart: Chart, pitch_um: float, wavelength_nm: float, f_number: float, enough: float = math.inf
+    chart: Chart,
+    pitch_um: float,
+    wavelength_nm: float,
+    f_number: float,
+    threshold: float = math.inf,
 ) -> float:
     """Return the largest relative change of any sample by diffraction, at the full resolution of
     the film.
 
     On a film larger than `TRIED_SIDE` a part around the chart's steepest texels is tested first. If
-    its change exceeds `enough`, that is the result.
+    its change exceeds `threshold`, it is the result.
     """
     if chart.uniform:
         return 0.0
@@ -273,9 +279,9 @@ def diffraction_effect(
         )
         return float(change[inner].max())
 
-    if max(chart.shape) > TRIED_SIDE and enough < math.inf:
+    if max(chart.shape) > TRIED_SIDE and threshold < math.inf:
         effect = largest_change(_steepest_part(chart), BORDER)
-        if effect > enough:
+        if effect > threshold:
             return effect
     return largest_change((WHOLE, WHOLE), 0)
 
@@ -524,7 +530,7 @@ def ends_with_film(
     right.
 
     It does so if it is one rectangle, as large as the view, with nothing behind it. Such a
-    rectangle is the picture: that the world is black beyond it is not what anybody means.
+    rectangle is the picture, whose author does not mean a black world beyond it.
     """
     emitters = {node.plugin for _, node in nodes_of(state, "Emitter")}
     if len(bodies) != 1 or emitters & BACKGROUNDS:

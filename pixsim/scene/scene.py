@@ -41,7 +41,15 @@ from pixsim.scene.illuminance import strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.packaged import packaged_folder, packaged_scenes
 from pixsim.scene.target import Target
-from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, parse_tree, plain
+from pixsim.scene.tree import (
+    Node,
+    SpectrumTable,
+    Tree,
+    children,
+    nodes_of,
+    parse_tree,
+    plain_values,
+)
 from pixsim.scene.variants import variant as variants
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
@@ -83,7 +91,7 @@ class Scene:
     shows_target : whether its chart is a target, which parameters set and `for_camera` draws on the
         cells of the film
     beyond_tables : what a surface is where its spectrum ends within the range that is computed:
-        "hold" its last value, or "zero". None: nobody says
+        "hold" its last value, or "zero". None where the user does not state it
     strength : factor on all lamps that the parameter `lux` asks for
     diffuser : whether a render also says what a white plate at the object's distance would show,
         for `display.white`
@@ -643,10 +651,10 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
     reading = scene.choice.reading
     parameter_names = list(scene.parameters)
     lamps = find_lamps(scene.parse(), reading)
-    as_written = lamps
+    written_lamps = lamps
     if parameter_names:
-        as_written = find_lamps(replace(scene, parameters={}).parse(), reading)
-    factor = strength(value, stated, as_written, lamps, parameter_names)
+        written_lamps = find_lamps(replace(scene, parameters={}).parse(), reading)
+    factor = strength(value, stated, written_lamps, lamps, parameter_names)
 
     white_cd_per_m2 = scene.white_cd_per_m2
     if white_cd_per_m2 is not None and not keeps_white:
@@ -849,7 +857,7 @@ def hash_of_tree(state: Tree) -> str:
     tree = []
     for node in state.nodes:
         values = []
-        for name, value in plain(node, numbers_only=False):
+        for name, value in plain_values(node, numbers_only=False):
             text = _all_digits(value)
             if name == "filename" and os.path.isabs(text):
                 # Not the folder of a file, such as the cache of charts: its bytes follow.

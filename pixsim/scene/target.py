@@ -1,8 +1,8 @@
-"""A target on an even background, for judges of detectability: a disc, a bar or an edge, drawn as
-exact means over texels.
+"""A target on a uniform background, for metrics of detectability: a disc, a bar or an edge, drawn
+as exact means over texels.
 
-A judge takes the light without the target from the same scene with a contrast of 0. So that the
-difference is due to the target alone, the texels are the cells of the film, and a cell has the
+Such a metric takes the light without the target from the same scene with a contrast of 0. So that
+the difference is due to the target alone, the texels are the cells of the film, and a cell has the
 share of the target that its area covers.
 """
 
@@ -29,7 +29,7 @@ _MIN_STEP = 1e-5
 
 
 class Target(Record):
-    """A target in the centre of an even field. An edge is the border of a target that fills the
+    """A target in the centre of a uniform field. An edge is the border of a target that fills the
     right or the lower half.
     """
 
@@ -69,7 +69,7 @@ class Target(Record):
     def from_parameters(
         cls, stated: Mapping[str, object], defaults: Mapping[str, object]
     ) -> Target:
-        """Return the target that the user gave, from parameters of a scene and their defaults.
+        """Return the target of a scene's parameters, stated and default ones.
 
         A stated size takes the place of the default, in whatever unit that is. A shape may lack
         what a default states.

@@ -29,9 +29,9 @@ REFERENCES = ("ResolvedReference", "Reference", "Object")
 MAX_CACHED_CHARACTERS = 1 << 20  # characters of a scene whose tree is kept
 _MAX_NESTED = 24  # references within references
 _MIN_VOLUME = 1e-200  # of a transformed unit cube
-# Of a table: one whose numbers are so in another unit, and not in nm, has that unit.
+# A table whose wavelengths lie in this range in another unit, but not in nm, has that unit.
 _LIKELY_NM = (150.0, 3000.0)
-# Characters of a scene whose tree stays in memory, and how many do.
+# Largest scene, in characters, whose tree stays in memory, and the number of such trees.
 _MAX_CHARACTERS = 1 << 16
 _MAX_TREES = 32
 
@@ -121,7 +121,7 @@ def children(node: Node, state: Tree) -> dict[str, int]:
     return indices
 
 
-def plain(node: Node, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
+def plain_values(node: Node, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
     """Iterate over the properties of a node that are values, not references; colours, as text,
     unless `numbers_only`.
     """
@@ -257,7 +257,7 @@ def _property(props: mitsuba.Properties, name: str) -> Property:
 
 
 def _plain(kind: str, value: Any) -> Any:
-    """Return the value of a property of Mitsuba's as plain Python."""
+    """Return the value of one of Mitsuba's properties as plain Python."""
     match kind:
         case "Transform":
             return np.array(value.matrix, float).tolist()

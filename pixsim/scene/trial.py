@@ -29,15 +29,17 @@ CODE = "import sys; sys.path[:] = {path!r}; from pixsim.scene.trial import main;
 SCENE = "csf"
 RESOLUTION = 64
 POINTS = 16  # of the chart, along each side of a cell
-MAX_MEAN_ERROR, MAX_RMS_ERROR = 1e-3, 1e-2  # of the illuminance, normally 1e-5 and 4e-3
+# Of the illuminance, normally 1e-5 and 4e-3
+MAX_MEAN_ERROR = 1e-3
+MAX_RMS_ERROR = 1e-2
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What became of a trial render.
+    """The outcome of a trial render.
 
     fault : why there is no picture or a wrong one, or None if it is right
-    facts : what `main` writes, without the fault; empty if it did not come to that
+    facts : that `main` writes beside the fault; empty if the child ended before
     """
 
     fault: str | None
@@ -68,18 +70,19 @@ def trial_render(variant: str | None = None, *, limit_s: float) -> Trial:
     seconds = time.perf_counter() - start_s
 
     if done.returncode:
+        fault = "fails"
         if done.returncode < 0:
-            signals = f"dies of signal {-done.returncode} ({signal.Signals(-done.returncode).name})"
-        else:
-            signals = "fails"
-        return Trial(": ".join([signals, *done.stderr.strip().splitlines()[-1:]]), seconds)
+            name = signal.Signals(-done.returncode).name
+            fault = f"dies of signal {-done.returncode} ({name})"
+        last_line = done.stderr.strip().splitlines()[-1:]
+        return Trial(": ".join([fault, *last_line]), seconds)
     facts = json.loads(done.stdout.splitlines()[-1])
     return Trial(facts.pop("fault"), seconds, facts)
 
 
 def main(variant: str | None) -> None:
-    """Write what a small picture of the packaged chart shows as the last line of stdout: the entry
-    point of the child.
+    """Render the packaged chart in small and write its illuminance and fault as the last line of
+    stdout: the entry point of the child.
     """
     import pixsim
 

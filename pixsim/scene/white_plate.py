@@ -18,20 +18,21 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.contents import FLAT, transform_matrix
 from pixsim.scene.tree import Node, Tree, nodes_of
 
-# Of the object's distance: how far before the plane in focus it stands, so that a chart in that
-# plane does not cover it; half of its side, so that surfaces at up to 60° behind it do not cut it;
-# and half of what is seen of it.
+# Lengths as shares of the object's distance.
+# From the plane in focus to the plate, so that a chart in that plane does not cover it
 BEFORE = 2e-3
+# Half of its side, so that surfaces at up to 60° behind it do not cut it
 _HALF_SIDE = 1e-3
+# Half of what is seen of it
 HALF_VIEW = 5e-4
 STEPS = 1000  # along the axis, at which an object may begin
-_SOLID = "sphere", "cube", "cylinder"
+_SOLID = ("sphere", "cube", "cylinder")
 NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
-RESOLUTION, FIRST_SPP = 16, 64  # of its picture
-# of renders, each with four times the samples of the one before; of its radiance, where none
-# follows
-LEVELS = 6
-NOISE = 1e-3
+# Of its picture
+RESOLUTION = 16
+FIRST_SPP = 64
+LEVELS = 6  # of renders, each with four times the samples of the one before
+NOISE = 1e-3  # of its radiance, at which no further level follows
 SEED = 0
 
 
@@ -70,7 +71,8 @@ def plate_transform(sensor: Node, distance_m: float, focus_m: float) -> tuple[fl
 def _in_node(node: Node, points: Array, last: float = 1.0) -> Array:
     """Return points (..., 3) of the world, or directions (`last` = 0), in the frame of a shape."""
     homogeneous = np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1)
-    return np.asarray((homogeneous @ np.linalg.inv(transform_matrix(node)).T)[..., :3])
+    to_node = np.linalg.inv(transform_matrix(node))
+    return np.asarray((homogeneous @ to_node.T)[..., :3])
 
 
 def _intersection_m(node: Node, lens: Array, axis: Array) -> float:

@@ -132,7 +132,7 @@ class LightRequest:
             [self.pixel],
             self.measured[0].exposure,
             self.settings.seed,
-            keep=use_cache,
+            use_cache=use_cache,
             render_noise=self.settings.render_noise,
             max_seconds=self.settings.max_seconds,
             tolerance_delta_e=self.settings.tolerance_delta_e,

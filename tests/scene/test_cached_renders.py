@@ -246,7 +246,7 @@ def test_render_cache_time_limit_is_reproduced(rendered, monkeypatch):
     def once(max_seconds: float) -> tuple[int, str]:
         camera = scene.camera()
         plan = make_render_plan(scene, camera)
-        how = {"render_noise": 1e-6, "max_seconds": max_seconds, "keep": True}
+        how = {"render_noise": 1e-6, "max_seconds": max_seconds, "use_cache": True}
         with pytest.warns(UserWarning, match="ended at its time limit"):
             image, noise = render_until(scene, camera, plan, [pixel], pixsim.Exposure(), **how)
         return noise.runs, image.factors[1].tobytes()

@@ -397,7 +397,7 @@ def test_cached_renders_are_of_one_variant(
         scene = replace(small(), choice=choice)
         plan = make_render_plan(scene, scene.camera())
         image, _ = render_until(
-            scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True
+            scene, scene.camera(), plan, *arguments, render_noise=10.0, use_cache=True
         )
         return image.header["variant"], set((tmp_path / "render").glob("*")) - before
 

@@ -1,4 +1,4 @@
-"""What stands between a stranger's scene and pixsim: no scene ends a command without a word.
+"""Guards against scenes of strangers: no scene ends a command without a message.
 
 A scene's XML is inspected before Mitsuba sees it (`inspector`; `plugins`: what it may use), and it
 is traced where it may crash or hang: in a `child`, which checks its files (`loaded`). pixsim's own

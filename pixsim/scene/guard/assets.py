@@ -44,8 +44,8 @@ def spectrum_value(path: Path) -> str:
 
 @lru_cache(maxsize=512)
 def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
-    """The numbers as a file writes them, but for the powers of ten of the units that it states;
-    once for each state of the file.
+    """Return the table of a spectrum's file as text: the digits of the file, times the powers of
+    ten of its units. A file is read once for each of its states.
     """
     try:
         table = read_table(path, "spectrum", _ALLOWED_SPECTRUM, 1, MAX_SPECTRUM)
@@ -53,27 +53,33 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
         raise PixsimError(f"spectrum: {error}") from None
     if len(table.nm) < 2:
         raise invalid(f"spectrum '{path}'", f"{len(table.nm)} lines with numbers", "at least two")
-    if fall := next(
-        ((nm, next_nm) for nm, next_nm in pairwise(map(float, table.nm)) if not nm < next_nm), None
-    ):
-        got = f"{fall[0]:g} nm followed by {fall[1]:g} nm"
-        raise invalid(f"spectrum '{path}'", got, "wavelengths in increasing or decreasing order")
+    for nm, next_nm in pairwise(map(float, table.nm)):
+        if not nm < next_nm:
+            got = f"{nm:g} nm followed by {next_nm:g} nm"
+            allowed = "wavelengths in increasing or decreasing order"
+            raise invalid(f"spectrum '{path}'", got, allowed)
+
+    # Values in the unit of the column's title; a text in brackets that is no unit of light has none
     (column,) = table.columns
-    power = 0
     if column.unit == A_PER_W:
         raise invalid(
             f"spectrum '{path}'", "values in A/W, by its title", "light, a reflectance or an index"
         )
-    with suppress(PixsimError):  # another text in brackets is no unit of light
-        power = unit.exponent if (unit := parse_light_unit(column.unit)).spectral else 0
-    values = (value.scaleb(power) if power else value for value in column.values)
-    return ", ".join(
-        f"{_plain(nm)}:{_plain(value)}" for nm, value in zip(table.nm, values, strict=True)
-    )
+    power = 0
+    with suppress(PixsimError):
+        unit = parse_light_unit(column.unit)
+        if unit.spectral:
+            power = unit.exponent
+
+    pairs = []
+    for table_nm, value in zip(table.nm, column.values, strict=True):
+        scaled = value.scaleb(power) if power else value
+        pairs.append(f"{_plain(table_nm)}:{_plain(scaled)}")
+    return ", ".join(pairs)
 
 
 def _plain(number: Decimal) -> str:
-    """A number as Mitsuba reads it."""
+    """Return a number as text that Mitsuba reads."""
     if number.is_zero() or _MIN_PLAIN < number.adjusted() < _MAX_PLAIN:
         return f"{number:f}"
     return repr(float(number))

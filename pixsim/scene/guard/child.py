@@ -38,18 +38,19 @@ _ENDED_S = 10.0  # in which a killed process ends
 _MAX_REPLY = 1 << 20  # bytes of a line
 MAX_CHANNELS = 256
 _READ_AT_ONCE = 1 << 16
-_LOOK_S = 0.5  # between two looks at the child and the clock
+_LOOK_S = 0.5  # at most, between two looks at the child and the clock
 
 
 class _ReportedError(PixsimError):
-    """What the child says of a scene; it goes on."""
+    """An error in the scene that the child reports; the child goes on."""
 
 
 class _Child:
-    """The process, with its pipes."""
+    """The child process, with its pipes."""
 
     def __init__(self, on_card: bool) -> None:
-        self.owner, self.on_card = os.getpid(), on_card
+        self.owner = os.getpid()
+        self.on_card = on_card
         self.process: subprocess.Popen[bytes] | None = None
         self.lock = threading.Lock()
         self.loaded: TraceJob | None = None

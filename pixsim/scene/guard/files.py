@@ -237,13 +237,19 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
 
 
 def _without_comments(text: str) -> str:
-    """Remove comments: Mitsuba's parser accepts two hyphens in a comment, which XML does not."""
+    """Return a text without comments, in which Mitsuba's parser accepts two hyphens and XML does
+    not.
+    """
     pieces = []
-    at = 0
-    while (start := text.find("<!--", at)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
-        pieces += [text[at:start], "\n" * text.count("\n", start, end)]  # keep line numbers
-        at = end + 3
-    return "".join(pieces) + text[at:]
+    position = 0
+    while True:
+        start = text.find("<!--", position)
+        end = text.find("-->", start + 4) if start >= 0 else -1
+        if end < 0:
+            return "".join(pieces) + text[position:]
+        pieces.append(text[position:start])
+        pieces.append("\n" * text.count("\n", start, end))  # the numbers of lines stay
+        position = end + 3
 
 
 class _FileReader:

@@ -1,5 +1,5 @@
-"""Check what Mitsuba has read of a scene's files before the first ray: in the child, whose memory
-is bounded, which may crash.
+"""Check the meshes, pictures and volumes that Mitsuba has read, before the first ray: in the child,
+whose memory is bounded and which may crash.
 
 Mitsuba takes the corners of a mesh for granted: one beyond the vertices is read from foreign
 memory.
@@ -23,7 +23,8 @@ from pixsim.scene.textures import check_texels, has_floats
 from pixsim.scene.variants.graphics import CUDA
 
 MIN_BYTES = 4 << 30
-# of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
+# Memory for each byte of a file: a compressed half becomes floats of a picture and of its copies, a
+# face becomes a part of a tree.
 BYTES_PER_BYTE = 16
 # A corner of an OBJ's face that names no texture coordinates, or no normal.
 _CORNER = rb"(?m)^[ \t]*f[ \t](?:.*[ \t])?-?\d+%b(?=\s|\Z)"
@@ -38,8 +39,8 @@ _UNSET_OF_OBJ = (
 
 
 def limit_memory(job: TraceJob) -> None:
-    """Let this process map at most so many more bytes: a share in proportion to the files, and no
-    more than the machine has.
+    """Limit the memory that this process may map from now on, in proportion to the files and to
+    what the machine has.
 
     Call it when Mitsuba's variant is set: LLVM and threads reserve addresses that they do not use.
     There is no limit for graphics cards, whose driver maps all memory of the card, and on systems

@@ -9,8 +9,7 @@ from pixsim.scene.guard.files import SceneElement
 
 
 def with_plate(root: SceneElement, to_world: Sequence[float]) -> SceneElement:
-    """Return an inspected tree with a rectangle that reflects all light as a perfect diffuser does,
-    on its front side.
+    """Return an inspected tree with a rectangle whose front is a perfect diffuser.
 
     to_world : its transform, 16 numbers, row by row
     """
@@ -18,12 +17,12 @@ def with_plate(root: SceneElement, to_world: Sequence[float]) -> SceneElement:
     def node(tag: str, attributes: dict[str, str], *children: SceneElement) -> SceneElement:
         return SceneElement(tag, attributes, children, root.file, root.line)
 
-    place = node(
+    transform = node(
         "transform", {"name": "to_world"}, node("matrix", {"value": " ".join(map(repr, to_world))})
     )
-    matter = node(
+    diffuser = node(
         "bsdf", {"type": "diffuse"}, node("spectrum", {"name": "reflectance", "value": "1"})
     )
     return replace(
-        root, children=(*root.children, node("shape", {"type": "rectangle"}, place, matter))
+        root, children=(*root.children, node("shape", {"type": "rectangle"}, transform, diffuser))
     )

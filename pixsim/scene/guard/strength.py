@@ -16,7 +16,7 @@ POWERS = {"d65": "scale", "uniform": "value", "regular": "values", "irregular": 
 def with_strength(node: SceneElement, factor: float) -> SceneElement:
     """Return an inspected tree with the light of every emitter times a factor.
 
-    Raises PixsimError for an emitter whose light is no number, table or D65.
+    Raises PixsimError for an emitter whose light is not a number, a table or D65.
     """
     if node.tag != "emitter":
         return replace(
@@ -29,7 +29,7 @@ def with_strength(node: SceneElement, factor: float) -> SceneElement:
 def _with_scaled(
     node: SceneElement, name: str | None, emitter: SceneElement, factor: float
 ) -> tuple[SceneElement, ...]:
-    """Return the children of an emitter or texture, the child of one name scaled."""
+    """Return the children of an emitter or texture, with the light of the child `name` scaled."""
     children = list(node.children)
     names = [child.attributes.get("name") for child in children]
     if name not in names and name == POWERS["d65"]:

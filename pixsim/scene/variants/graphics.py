@@ -49,7 +49,11 @@ NOT_CACHED = (
 
 @dataclass(frozen=True)
 class GraphicsTrial:
-    """Why the graphics card is not used, None if it works; and whether that was tried."""
+    """The outcome of a trial of the graphics card.
+
+    fault : why the card is not used, or None if it works
+    tried : whether something was rendered on it
+    """
 
     fault: str | None
     tried: bool = True
