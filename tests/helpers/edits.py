@@ -32,6 +32,33 @@ VARIANTS = pytest.mark.parametrize(
 )
 
 
+def lens_xml(fov_deg: float = 40, aperture_m: float = 0.0005, focus_m: float = 0.8) -> str:
+    return (
+        f'<float name="fov" value="{fov_deg}"/><float name="aperture_radius"'
+        f' value="{aperture_m}"/><float name="focus_distance" value="{focus_m}"/>'
+    )
+
+
+def sensor_xml(
+    inside: str | None = None,
+    plugin: str = "thinlens",
+    name: str = "eye",
+    size: tuple[int, int] = (8, 8),
+    spp: int = 4,
+) -> str:
+    """A sensor at the origin that looks along z. inside : lens and place; size : (width, height)"""
+    return f"""<sensor type="{plugin}" id="{name}">{lens_xml() if inside is None else inside}
+        <sampler type="multijitter"><integer name="sample_count" value="{spp}"/></sampler>
+        <film type="hdrfilm"><integer name="width" value="{size[0]}"/>
+            <integer name="height" value="{size[1]}"/><rfilter type="box"/></film></sensor>"""
+
+
+def scene_file(folder: Path, *elements: str) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{"".join(elements)}</scene>', encoding="utf-8")
+    return path
+
+
 def edited(folder: Path, name: str, *edits: tuple[str, str]) -> Path:
     """A copy of a packaged scene with texts replaced; `END` inserts text before "</scene>"."""
     text = (FOLDER / f"{name}.xml").read_text(encoding="utf-8")
