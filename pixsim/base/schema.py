@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pixsim.base.errors import invalid
+from pixsim.base.errors import invalid, printable
 from pixsim.base.notes import Note
 
 # 1: names of settings and of entries, technologies 4t-*, random streams of large frames, and one
@@ -84,9 +84,10 @@ def json_text(content: Mapping[str, Any]) -> str:
     {  "mtf50_cy_per_px": [    0.31,    null  ],  "schema": 2}
     """
     with_schema = content if "$schema" in content else {KEY: SCHEMA, **content}
-    return json.dumps(
+    text = json.dumps(
         _finite(with_schema), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False
     )
+    return printable(text, json=True)
 
 
 def _finite(value: Any) -> Any:

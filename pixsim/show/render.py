@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from pixsim.base.errors import printable
 from pixsim.base.files import output_folder, publishing, write_json
 from pixsim.base.notes import Note
 from pixsim.base.schema import json_text
@@ -139,7 +140,7 @@ def json(document: Document) -> str:
 
 def html(document: Document) -> str:
     """Return the page: one file that loads nothing."""
-    return _environment().get_template(_TEMPLATE).render(document=document)
+    return printable(_environment().get_template(_TEMPLATE).render(document=document))
 
 
 def notebook(document: Document) -> str:
@@ -147,7 +148,8 @@ def notebook(document: Document) -> str:
     macros: Any = _environment().get_template(_MACROS).module
     # A cell has one figure
     lead = (block for block in document.lead if not isinstance(block, Plot))
-    return str(macros.cell((*document.answers, *document.plots[:1], *lead, *document.brief)))
+    blocks = (*document.answers, *document.plots[:1], *lead, *document.brief)
+    return printable(str(macros.cell(blocks)))
 
 
 @cache
