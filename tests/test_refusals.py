@@ -171,7 +171,7 @@ def outside(kind: Table) -> list[tuple[Any, str]]:
             part = kind_of(kind["items_schema"][0])
             others = [] if "variadic_item_index" in kind else inside(part)[:1]
             return [NO_NUMBER, *(([value, *others], allowed) for value, allowed in outside(part))]
-    return [NO_NUMBER]
+    return [NO_NUMBER, (math.nan, "")] if kind["type"] == "union" else [NO_NUMBER]
 
 
 Faults = dict[str, tuple[Any, str]]
@@ -205,7 +205,7 @@ def missed(message: str, where: str, faults: Faults) -> list[str]:
         line = next(
             (text for text in lines if re.match(rf"{re.escape(where + name)}(\.0)?: ", text)), None
         )
-        texts = [repr(part), repr(str(part)), repr(value), "a text of "]
+        texts = [repr(part), repr(str(part)), repr(value), "a text of ", "neither "]
         if line is None:
             misses.append(f"{name} = {value!r}: expected a line on {where}{name}, got none")
             continue

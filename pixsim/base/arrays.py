@@ -291,9 +291,8 @@ def _open_numpy(path: Path, name: str, expected: str) -> Iterator[IO[bytes]]:
             raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
 
 
-_key_text = json.JSONEncoder(
-    default=operator.index
-).encode  # `operator.index` treats NumPy integers as Python integers
+# `operator.index` treats NumPy integers as Python integers
+_key_text = json.JSONEncoder(default=operator.index).encode
 
 
 def stream(*key: object) -> np.random.Generator:

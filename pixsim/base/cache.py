@@ -153,9 +153,8 @@ def is_unchanged_file(path: Path) -> bool:
     """Whether a file is an entry, and what it holds is what was stored."""
     if not is_entry(path):
         return False
-    return value_of(
-        path.parent.name, path.stem, lambda value: str(value["digest"])
-    ) == _digest_of_file(path)
+    digest = value_of(path.parent.name, path.stem, lambda value: str(value["digest"]))
+    return digest == _digest_of_file(path)
 
 
 def _digest_of_file(path: Path) -> str:
@@ -220,11 +219,8 @@ def _load(kind: str, key: str, suffix: str, read: Callable[[IO[bytes]], Result])
     except FileNotFoundError:  # another process has just removed it
         return None
     except _DAMAGE as error:
-        warn(
-            Note(
-                "machine", words=f"cache entry '{path}' is damaged ({error}) and is computed again"
-            )
-        )
+        words = f"cache entry '{path}' is damaged ({error}) and is computed again"
+        warn(Note("machine", words=words))
         return None
     with suppress(OSError):  # a read-only cache works too
         os.utime(path, follow_symlinks=False)
@@ -257,15 +253,11 @@ def _store(
                 file.write(_head(kind, key, digest))
             partial.replace(path)
     except OSError as error:
-        warn(
-            Note(
-                "machine",
-                words=(
-                    f"cache folder '{path.parent}' cannot be written ({error.strerror}); set"
-                    f" {FOLDER_VARIABLE}"
-                ),
-            )
+        words = (
+            f"cache folder '{path.parent}' cannot be written ({error.strerror}); set"
+            f" {FOLDER_VARIABLE}"
         )
+        warn(Note("machine", words=words))
         return
     _written_bytes += size_bytes
     if _written_bytes > _TRIM_SHARE * limit_bytes():

@@ -37,9 +37,8 @@ def setting(path: str, value: float | str | None = None) -> str:
     """
     text = f"{value:g}" if isinstance(value, int | float) else value
     if _command_lines:
-        return f"--{OPTIONS.get(path, path).replace('_', '-')}" + (
-            "" if text is None else f" {text}"
-        )
+        option = f"--{OPTIONS.get(path, path).replace('_', '-')}"
+        return option if text is None else f"{option} {text}"
     *tables, name = path.split(".")
     if tables:
         return f"{tables[-1].capitalize()}({name}={'…' if text is None else text})"

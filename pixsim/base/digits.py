@@ -91,8 +91,11 @@ def duration(seconds: float) -> str:
     >>> duration(12.34), duration(100.0), duration(1e5)
     ('12 s', '1.7 min', '28 h')
     """
-    unit, unit_s = ("s", 1) if seconds < 90 else ("min", 60) if seconds < 5400 else ("h", 3600)
-    return f"{rounded(seconds / unit_s)} {unit}"
+    if seconds < 90:
+        return f"{rounded(seconds)} s"
+    if seconds < 5400:
+        return f"{rounded(seconds / 60)} min"
+    return f"{rounded(seconds / 3600)} h"
 
 
 def interval(ends: tuple[float | None, float | None]) -> str:
@@ -103,10 +106,10 @@ def interval(ends: tuple[float | None, float | None]) -> str:
     ('2.5 to 3.0 µm', 'below 3.01 µm', '1 to 5 µm')
     """
     low, high = ends
+    if low is None and high is None:
+        return "no limit among the sizes tried"
     if low is None:
-        return (
-            "no limit among the sizes tried" if high is None else f"below {_micrometres(high)} µm"
-        )
+        return f"below {_micrometres(high)} µm"
     if high is None:
         return f"above {_micrometres(low)} µm"
     decimals = max(len(_micrometres(end).partition(".")[2]) for end in (low, high))
@@ -131,9 +134,8 @@ def setting_text(value: float) -> str:
     >>> setting_text(20000.0)
     '20000'
     """
-    return rounded(
-        value, _MAX_WRITTEN if float(f"{value:.{_MAX_WRITTEN}g}") == value else MAX_DIGITS
-    )
+    was_written = float(f"{value:.{_MAX_WRITTEN}g}") == value
+    return rounded(value, _MAX_WRITTEN if was_written else MAX_DIGITS)
 
 
 def exposure_time(seconds: float) -> str:
@@ -142,14 +144,11 @@ def exposure_time(seconds: float) -> str:
     >>> exposure_time(0.00165), exposure_time(3.2e-5), exposure_time(1000.0), exposure_time(0.0)
     ('1.65 ms', '32 µs', '1000 s', '0 ms')
     """
-    unit, unit_s = (
-        ("s", 1.0)
-        if seconds >= 1
-        else ("ms", 1e-3)
-        if seconds >= 1e-4 or seconds == 0
-        else ("µs", 1e-6)
-    )
-    return f"{rounded(seconds / unit_s, 3)} {unit}"
+    if seconds >= 1:
+        return f"{rounded(seconds, 3)} s"
+    if seconds >= 1e-4 or seconds == 0:
+        return f"{rounded(seconds / 1e-3, 3)} ms"
+    return f"{rounded(seconds / 1e-6, 3)} µs"
 
 
 def f_stop(value: float) -> str:

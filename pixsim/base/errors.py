@@ -107,7 +107,7 @@ def name_fault(name: str) -> str:
     """Why a text cannot name something in tables and files; empty if it can.
 
     >>> name_fault("=1+1"), name_fault("-0.5"), name_fault("night")
-    ('begins with =, as a formula of a spreadsheet does', '', '')
+    ('begins with =, which a spreadsheet reads as a formula', '', '')
     """
     if CONTROL.search(name) or "\t" in name or "\n" in name:
         return "contains control characters, or marks that change the direction of text"

@@ -270,9 +270,8 @@ def disk_faults_named(folder: Path, target: Path, advice: str) -> Iterator[None]
         ) from None
 
 
-UNCHANGED_NS = (
-    2_000_000_000  # since a file's last change, so that another change shows in its times
-)
+# Since a file's last change, so that another change shows in its times
+UNCHANGED_NS = 2_000_000_000
 
 
 def digest_of(path: Path) -> str:

@@ -20,7 +20,7 @@ class Layer:
     source: str = ""
     named: bool = False
 
-    def names(self, path: Iterable[object]) -> bool:
+    def sets(self, path: Iterable[object]) -> bool:
         """Whether this layer sets the value at a dotted path."""
         node: Any = self.table
         for part in path:
@@ -31,12 +31,14 @@ class Layer:
         return True
 
 
+# Returns the part of the first table that holds beside the second
+Remaining = Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]
+
+
 def merge_tables(
     base: dict[str, Any],
     over: dict[str, Any],
-    remaining: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]] = lambda base, over: dict(
-        base
-    ),
+    remaining: Remaining = lambda base, over: dict(base),
     whole: Collection[str] = (),
 ) -> dict[str, Any]:
     """Merge nested tables; values of `over` replace values of `base`.

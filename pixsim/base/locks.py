@@ -134,8 +134,12 @@ def _remove_leftover(path: Path) -> None:
         return
     descriptor = os.open(path, (os.O_RDONLY if is_folder else os.O_RDWR) | os.O_NOFOLLOW)
     try:
-        if _lock(descriptor):
-            shutil.rmtree(path, ignore_errors=True) if is_folder else path.unlink()
+        if not _lock(descriptor):
+            return
+        if is_folder:
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink()
     finally:
         os.close(descriptor)
 
@@ -153,9 +157,9 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
         with suppress(FileExistsError):
             if is_folder:
                 path.mkdir(0o700)
-            flags = (
-                os.O_RDONLY | os.O_DIRECTORY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL
-            )
+                flags = os.O_RDONLY | os.O_DIRECTORY
+            else:
+                flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
             descriptor = os.open(path, flags | os.O_NOFOLLOW, 0o666)
             if _lock(descriptor) is not False and _is_same_file(path, descriptor):
                 break

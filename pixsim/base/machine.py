@@ -30,9 +30,10 @@ class _Processors:
     @property
     def usable(self) -> int:
         """Number of processes that can run at the same time, at least 1."""
-        return max(
-            1, int(min(count for count in (self.allowed or self.cores or 1, self.granted) if count))
-        )
+        allowed = self.allowed or self.cores or 1
+        if self.granted:
+            allowed = min(allowed, int(self.granted))
+        return max(1, allowed)
 
 
 @dataclass(frozen=True)
@@ -83,22 +84,16 @@ def memory(root: Path = Path("/")) -> Memory:
     kib = {
         pair[0].rstrip(":"): int(pair[1]) for pair in pairs if len(pair) > 1 and pair[1].isdigit()
     }
-    total, available = (
-        kib[name] * 1024 if name in kib else None for name in ("MemTotal", "MemAvailable")
-    )
-    limits = [
+    total = 1024 * kib["MemTotal"] if "MemTotal" in kib else None
+    available = 1024 * kib["MemAvailable"] if "MemAvailable" in kib else None
+    texts = [
         text_of(folder / name)
         for folder in _groups("memory", root)
         for name in ("memory.max", "memory.limit_in_bytes")
     ]
-    return Memory(
-        total,
-        available,
-        min(
-            (int(limit) for limit in limits if limit.isdigit() and int(limit) < _NO_LIMIT_BYTES),
-            default=None,
-        ),
-    )
+    limits = [int(text) for text in texts if text.isdigit()]
+    limit = min((limit for limit in limits if limit < _NO_LIMIT_BYTES), default=None)
+    return Memory(total, available, limit)
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:

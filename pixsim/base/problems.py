@@ -5,6 +5,7 @@ from, and how to mend it.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
@@ -45,8 +46,10 @@ def words_of(info: FieldInfo | None) -> Words:
 
 
 MAX_VALUE = 80  # characters of a value in a message
-# Parts of the place of an error in a field that may be either: no names of a user
+# Parts of the place of an error in a field that may be of several kinds: no names of a user
 UNION_BRANCHES = ("table", "number")
+# Pydantic's names of such kinds, as literal['none'], str or _UserDenoiser
+_KIND = re.compile(r"str|int|float|bool|constrained-\w+|[a-z-]+\[.*\]|_[A-Z]\w*", re.DOTALL)
 
 
 def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
@@ -55,22 +58,54 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
     """
     if not isinstance(error, ValidationError):
         return str(error)
+    problems_by_place: dict[tuple[int | str, ...], list[ErrorDetails]] = {}
+    for problem in _without_consequences(error.errors()):
+        problems_by_place.setdefault(problem["loc"], []).append(problem)
+
     listed: set[str] = set()
-    problems = _without_consequences(error.errors())
-    lines = [_line(error.title, problem, layers, listed) for problem in problems[:MAX_PROBLEMS]]
-    further_count = len(problems) - len(lines)
-    if further_count:
+    lines = []
+    for problems in list(problems_by_place.values())[:MAX_PROBLEMS]:
+        lines += _joined([_line(error.title, problem, layers, listed) for problem in problems])
+    further_count = len(problems_by_place) - MAX_PROBLEMS
+    if further_count > 0:
         lines.append(f"and {further_count} more problem{'s' * (further_count > 1)}")
     return "\n".join(lines)
 
 
+_ALLOWED = "; allowed: "
+
+
+def _joined(lines: Sequence[str]) -> list[str]:
+    """The lines of one value, with what is allowed by each of the kinds that it may have."""
+    joined: dict[str, str] = {}
+    for line in lines:
+        start, mark, allowed = line.partition(_ALLOWED)
+        if start in joined and mark:
+            joined[start] = f"{joined[start].removesuffix('.')} or {allowed}"
+        else:
+            joined[start] = line
+    return list(joined.values())
+
+
 def _without_consequences(problems: Sequence[ErrorDetails]) -> list[ErrorDetails]:
-    """The problems, without lists that are too short only since a part of them is wrong."""
-    above = {problem["loc"][:depth] for problem in problems for depth in range(len(problem["loc"]))}
+    """The problems, with their places as a user writes them.
+
+    Where a part of a value is wrong, it is left out that the value itself is of no other kind, or
+    is a list that is too short without this part.
+    """
+    located = []
+    for problem in problems:
+        names = [part for part in problem["loc"] if part not in UNION_BRANCHES]
+        place = tuple(part for part in names if isinstance(part, int) or not _KIND.fullmatch(part))
+        is_consequence = problem["type"] == "too_short" or len(place) < len(names)
+        located.append((ErrorDetails({**problem, "loc": place}), is_consequence))
+    above = {
+        problem["loc"][:depth] for problem, _ in located for depth in range(len(problem["loc"]))
+    }
     return [
         problem
-        for problem in problems
-        if not (problem["type"] == "too_short" and problem["loc"] in above)
+        for problem, is_consequence in located
+        if not (is_consequence and problem["loc"] in above)
     ]
 
 
@@ -82,7 +117,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
     """Return a problem as text. `listed` has the tables whose names were listed, once for each; it
     is written to.
     """
-    path = [str(part) for part in problem["loc"] if part not in UNION_BRANCHES]
+    path = [str(part) for part in problem["loc"]]
     layer = _layer_of(problem, layers)
     where = _where(title, problem, layer, layers)
     kind = problem["type"]
@@ -221,19 +256,19 @@ def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
     A missing value, or a conflict between values, has none: it is the last layer with the enclosing
     table.
     """
-    path = [part for part in problem["loc"] if part not in UNION_BRANCHES]
+    path = list(problem["loc"])
     # Layers replace lists as a whole
     path = list(takewhile(lambda part: not isinstance(part, int), path))
     for length in range(len(path), -1, -1):
         for layer in reversed(layers):
-            if layer.table and layer.names(path[:length]):
+            if layer.table and layer.sets(path[:length]):
                 return layer
     return next((layer for layer in reversed(layers) if layer.source), None)  # empty ones
 
 
 def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Sequence[Layer]) -> str:
     """`FILE: dotted.path`, or the dotted path alone if the value comes from no file."""
-    path = [part for part in problem["loc"] if part not in UNION_BRANCHES]
+    path = list(problem["loc"])
     if layer is None or not layer.source:
         return ".".join(map(str, path)) or title
     names = {

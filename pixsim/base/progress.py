@@ -16,12 +16,12 @@ from pixsim.base.errors import printable
 Progress = Callable[..., None]  # (fraction done, text after the name of the stage)
 Stage = Callable[[str], Progress]
 LINE_INTERVAL_S = 5.0  # between two lines of a stage
-_MIN_DONE = 0.1  # done, before the time left is told
+_MIN_DONE = 0.1  # fraction done from which on the time left is stated
 POLL_S = 0.5  # between two looks at the clock
 
 
 def no_stage(_: str) -> Progress:
-    """A `Stage` that tells nobody."""
+    """A `Stage` that reports to nobody."""
     return lambda *_: None
 
 
@@ -69,7 +69,7 @@ def watched(progress: Progress | None) -> Iterator[None]:
 
 
 def report(done: float) -> None:
-    """Report the fraction that is done of a computation to whom it may concern."""
+    """Report the fraction of a computation that is done to the function that `watched` named."""
     if (progress := _REPORTED_TO.get()) is not None:
         progress(done)
 
@@ -90,7 +90,9 @@ class Lines:
     def __init__(
         self, write: Callable[[str], object], clock: Callable[[], float] = time.perf_counter
     ) -> None:
-        self._write, self._clock, self._lock = write, clock, threading.Lock()
+        self._write = write
+        self._clock = clock
+        self._lock = threading.Lock()
         self._start_s = self._line_s = clock()
         self._name = ""
         self._state = " …"
@@ -121,10 +123,8 @@ class Lines:
         self._done = done
         left = ""
         if _MIN_DONE <= done < 1:
-            left = (
-                f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s"
-                " left"
-            )
+            left_s = (self._clock() - self._part_s) * (1 / done - 1)
+            left = f", about {float(f'{left_s:.1g}'):g} s left"
         self._state = f": {100 * done:.0f} %{left}{note}"
 
     def tick(self) -> None:
@@ -136,7 +136,8 @@ class Lines:
     def end(self) -> None:
         """End the stage."""
         with self._lock:
-            self._line(f"{self._name}: done in {float(f'{self._clock() - self._stage_s:.2g}'):g} s")
+            duration_s = self._clock() - self._stage_s
+            self._line(f"{self._name}: done in {float(f'{duration_s:.2g}'):g} s")
 
     @contextmanager
     def ticking(self) -> Iterator[None]:

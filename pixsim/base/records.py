@@ -1,4 +1,4 @@
-"""Frozen, validated records with a content hash: what all settings are."""
+"""The base of all settings: frozen, validated records with a content hash."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _not_tiny(value: object) -> object:
         if any(isinstance(part, float | tuple) for part in value):
             return tuple(map(_not_tiny, value))
         return value
-    # numbers of tables are those of a scene, a technology or a lens, which have bounds of their own
+    # numbers of a table belong to a scene, a technology or a lens, and have other bounds
     return value
 
 
@@ -146,7 +146,7 @@ def restated_by(record: type[Record], names: Iterable[str]) -> set[str]:
     return restated
 
 
-# A number without bounds of its own: what uses it has them
+# A number whose bounds are checked where it is used
 AnyNumber = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
 

@@ -14,12 +14,10 @@ class SharedBlock:
     """
 
     def __init__(self, enter: Callable[[], AbstractContextManager[object]]) -> None:
-        self._enter, self._blocks, self._held, self._changing = (
-            enter,
-            0,
-            ExitStack(),
-            threading.RLock(),
-        )
+        self._enter = enter
+        self._blocks = 0
+        self._context = ExitStack()
+        self._changing = threading.RLock()
 
     @property
     def is_running(self) -> bool:
@@ -29,11 +27,11 @@ class SharedBlock:
     def __enter__(self) -> None:
         with self._changing:
             if not self._blocks:
-                self._held.enter_context(self._enter())
+                self._context.enter_context(self._enter())
             self._blocks += 1
 
     def __exit__(self, *_: object) -> None:
         with self._changing:
             self._blocks -= 1
             if not self._blocks:
-                self._held.close()
+                self._context.close()

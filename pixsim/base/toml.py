@@ -32,10 +32,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     text = read_text(path, "configuration file", "a readable TOML file", MAX_BYTES)
     # Checked before parsing: these would take the parser too long, or give unusable values.
     unquoted = text.translate(dict.fromkeys(map(ord, " \t\"'")))
-    if (
-        max((part.count(".") for part in re.split(r"[=\[\]{}#,\n]", unquoted)), default=0)
-        > MAX_DOTS
-    ):
+    keys = re.split(r"[=\[\]{}#,\n]", unquoted)
+    if max(key.count(".") for key in keys) > MAX_DOTS:
         raise invalid(source, f"a key of more than {MAX_DOTS} dots", f"at most {MAX_DEPTH}")
     if re.search(rf"[0-9a-fA-F_]{{{MAX_DIGITS + 1}}}", text):
         raise invalid(
@@ -70,7 +68,9 @@ def _without_names(error: ValueError) -> str:
         "Cannot declare": "a table that is declared twice",
         "Duplicate inline table key": "a key twice in a table",
     }
-    return (words.get(key_error[1], key_error[1]) if key_error else text) + place + location
+    if key_error:
+        text = words.get(key_error[1], key_error[1])
+    return text + place + location
 
 
 def depth(value: object) -> int:
@@ -80,10 +80,10 @@ def depth(value: object) -> int:
     while stack:
         node, level = stack.pop()
         deepest = max(deepest, level)
-        children = (
-            node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
-        )
-        stack += [(child, level + 1) for child in children]
+        if isinstance(node, dict):
+            node = list(node.values())
+        if isinstance(node, list):
+            stack += [(child, level + 1) for child in node]
     return deepest
 
 

@@ -38,10 +38,9 @@ def refusal(error: CycloptsError) -> str:
     words, options = names_of(command) if command else ([], set())
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         first, *others = error.unused_tokens
+        got = f"the extra word '{first}'"
         if others:
             got = f"the extra words '{first}' and {len(others)} more"
-        else:
-            got = f"the extra word '{first}'"
         text = (
             f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}."
             f" {_hint_of_word(first, options)}".rstrip()

@@ -179,13 +179,10 @@ def open_closed_streams() -> None:
             # It takes the lowest number, which is this one
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
-            setattr(
-                sys,
-                name,
-                open(  # noqa: SIM115
-                    number, mode, encoding="utf-8", errors="backslashreplace", closefd=False
-                ),
+            stream = open(  # noqa: SIM115
+                number, mode, encoding="utf-8", errors="backslashreplace", closefd=False
             )
+            setattr(sys, name, stream)
 
 
 def discard_output() -> None:

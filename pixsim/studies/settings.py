@@ -997,9 +997,7 @@ def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str
     if isinstance(sources, dict):
         layer = Layer(overriding)
         valid_sources = {
-            name: source
-            for name, source in sources.items()
-            if not layer.names(str(name).split("."))
+            name: source for name, source in sources.items() if not layer.sets(str(name).split("."))
         }
         table = table | {"sources": valid_sources}
     return table
