@@ -63,13 +63,27 @@ def explain(error: ValueError, layers: Sequence[Layer] = ()) -> str:
         problems_by_place.setdefault(problem["loc"], []).append(problem)
 
     listed: set[str] = set()
-    lines = []
+    texts = []
     for problems in list(problems_by_place.values())[:MAX_PROBLEMS]:
-        lines += _joined([_line(error.title, problem, layers, listed) for problem in problems])
-    further_count = len(problems_by_place) - MAX_PROBLEMS
-    if further_count > 0:
-        lines.append(f"and {further_count} more problem{'s' * (further_count > 1)}")
-    return "\n".join(lines)
+        lines = _joined([_line(error.title, problem, layers, listed) for problem in problems])
+        texts.append("\n".join(lines))
+    return first_problems(texts, len(problems_by_place))
+
+
+def first_problems(texts: Sequence[str], count: int | None = None) -> str:
+    """Return the first ten problems of a file as one message, and how many more there are.
+
+    count : of all problems; None takes that of the texts
+
+    >>> print(first_problems(["a is negative", "b is not a number"], 14))
+    a is negative
+    b is not a number
+    and 12 more problems
+    """
+    first_texts = texts[:MAX_PROBLEMS]
+    further_count = (len(texts) if count is None else count) - len(first_texts)
+    further = f"and {further_count} more problem{'s' * (further_count > 1)}"
+    return "\n".join([*first_texts, further] if further_count else first_texts)
 
 
 _ALLOWED = "; allowed: "

@@ -32,6 +32,7 @@ from pixsim.base.errors import (
 from pixsim.base.files import read_text
 from pixsim.base.layers import Layer
 from pixsim.base.notes import Note
+from pixsim.base.problems import first_problems
 from pixsim.base.records import AnyNumber, Record, checked
 from pixsim.base.toml import packaged, read_toml
 from pixsim.optics.glass import (
@@ -611,7 +612,7 @@ def _read_toml(
             unknown.append(str(error))
 
     if unknown:
-        raise PixsimError("\n".join(unknown))
+        raise PixsimError(first_problems(unknown))
     surfaces = tuple(
         _toml_surface(surface, glass, surface_name(index))
         for index, (surface, glass) in enumerate(zip(file.surface, glasses, strict=True))
@@ -1298,7 +1299,7 @@ def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
         errors += _untraced(block, block.place(path), medium)
         medium = _glass_name(block) if _surface_type(block) != _NULL else medium
     if errors:
-        raise PixsimError("\n".join(map(str, errors)))
+        raise PixsimError(first_problems(list(map(str, errors))))
 
 
 def _glass_name(block: _Block) -> str:
@@ -1540,7 +1541,7 @@ def _zmx_glasses(
         )
 
     if unknown:
-        raise PixsimError("\n".join([*unknown, _HOW_TO_ADD_CATALOGUE]))
+        raise PixsimError(f"{first_problems(unknown)}\n{_HOW_TO_ADD_CATALOGUE}")
     return glasses
 
 

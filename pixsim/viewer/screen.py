@@ -321,6 +321,8 @@ def white_header(views: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, An
     )
     unit = _UNITS_OF_WHITE[name]
     if not estimate > 0:
+        for _, light in views:
+            light.validate()  # NaN is no darkness
         got = "no value, and the picture is too dark to estimate it"
         quantity = "luminance" if name == "white_cd_per_m2" else "radiance"
         raise invalid(
