@@ -256,7 +256,7 @@ class Session:
             source,
             run_settings(preset.config, tables),
             repeats=REPEATS,
-            judges_settings=False,
+            warns_of_unused_settings=False,
             **self.prepare_arguments,
         )
 

@@ -86,7 +86,7 @@ from pixsim.studies.merit import (
     longest_path_um,
     mpe30_lx_s,
     mtf50_cy_per_mm,
-    shown_mtf,
+    scene_to_display_mtf,
     study_mtf_terms,
     study_neq,
     system_mtf,
@@ -191,7 +191,7 @@ def _draw_detail_and_light(axes: Axes, result: StudyResult, curve: Curve) -> dic
         physics = result.physics(curve.technology, pitch_um)
         path_um = longest_path_um(result, curve, pitch_um)
         mtf50.append(mtf50_cy_per_mm(result, physics, system_mtf, path_um))
-        display_mtf50.append(mtf50_cy_per_mm(result, physics, shown_mtf, path_um))
+        display_mtf50.append(mtf50_cy_per_mm(result, physics, scene_to_display_mtf, path_um))
         mpe30.append(mpe30_lx_s(result, physics))
 
     blue, orange = COLOURS[:2]

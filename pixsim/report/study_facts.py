@@ -10,7 +10,7 @@ from pixsim.report.regret import regrets_tables
 from pixsim.report.wording import lens_words, thin_lens_words, unconverged, view_words
 from pixsim.show.document import Block, Fact
 from pixsim.studies.curve import Curve
-from pixsim.studies.merit import columns_on, moved_view
+from pixsim.studies.merit import columns_on, varied_view_settings
 from pixsim.studies.optimum import fittable_pitches
 from pixsim.studies.regret import metric_regrets
 from pixsim.studies.result import StudyResult
@@ -39,7 +39,7 @@ def study_view_words(result: StudyResult) -> list[str]:
     studies.
     """
     study = result.study
-    if (study.own_um is None and study.window_mm is None) or moved_view(study):
+    if (study.own_um is None and study.window_mm is None) or varied_view_settings(study):
         return []
     columns = None if study.own_um is None else columns_on(result.camera, study.own_um)
     words = view_words(

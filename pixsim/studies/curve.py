@@ -633,12 +633,12 @@ def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     pitches_um = sorted(sensors)
     u = fit.places_of(np.array(pitches_um))
     mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
-    noise = np.array([fit.loud.get(pitch_um, fit.noise) for pitch_um in pitches_um])
+    noise = np.array([fit.noisy.get(pitch_um, fit.noise) for pitch_um in pitches_um])
     likeliest = fit.likeliest
     design = replace(
         likeliest.design,
         u=u,
-        noise=noise * noise_scale(mean, fit.logarithmic),
+        noise=noise * noise_scale(mean, fit.is_logarithmic),
         sensors=np.array([sensors[pitch_um] for pitch_um in pitches_um]),
     )
 

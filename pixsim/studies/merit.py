@@ -1,5 +1,5 @@
-"""What follows from light and pixels beside the frames: MTF, NEQ, noise budgets, light level, and
-what a picture shows.
+"""Figures of merit that need no captured frames: MTF, NEQ, noise budgets, sensitivity, and the
+frequencies that a picture shows.
 """
 
 from __future__ import annotations
@@ -86,7 +86,9 @@ def csf_contrasts(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> t
 
 
 def stated_end_lp_per_mm(header: Mapping[str, Any]) -> float | None:
-    """Return the highest frequency that a scene's parameters give the CSF chart, or None without.
+    """Return the highest frequency of the CSF chart that the parameters of a scene state.
+
+    Returns None if they do not state it.
 
     header : of an irradiance
     """
@@ -96,17 +98,17 @@ def stated_end_lp_per_mm(header: Mapping[str, Any]) -> float | None:
     return float(parameters[MAX_LP_PER_MM])
 
 
-def moved_view(study: Study) -> list[str]:
-    """Return which of the display's dots and the chart's end an axis or a condition of a study
-    sets, as dotted names.
+def varied_view_settings(study: Study) -> list[str]:
+    """Return the dotted names of display.dots and of the chart's highest frequency, if an axis or a
+    condition of a study sets them.
     """
-    moved = {path for axis in study.axis for path in axis.paths} | {
+    varied_paths = {path for axis in study.axis for path in axis.paths} | {
         path for condition in study.condition for path in paths_of(condition.set)
     }
     return [
         ".".join(path)
         for path in (("display", "dots"), ("scene", "parameters", MAX_LP_PER_MM))
-        if path in moved
+        if path in varied_paths
     ]
 
 
@@ -119,10 +121,10 @@ _MPE30_INTEGRATION_S = 0.030  # of Figure 2 of Chen, Catrysse, El Gamal and Wand
 
 
 def longest_path_um(result: StudyResult, curve: Curve, pitch_um: float) -> float:
-    """Return the path of light that moves in an exposure, along its longer axis; 0 where nothing
-    moves.
+    """Return how far the picture moves on the sensor during an exposure, along the axis of more
+    motion.
 
-    Between the pitches of a curve the time is interpolated.
+    It is 0 without motion. Between the pitches of a curve the integration time is interpolated.
     """
     motion = result.study.motion
     if not motion.is_on:
@@ -145,14 +147,15 @@ def study_mtf_terms(
 def system_mtf(
     result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
 ) -> Array:
-    """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b, or
-    what takes its place.
+    """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b.
+
+    For a pixel with a stack, the terms of the stack take the photodiode's place.
     """
     terms = study_mtf_terms(result, physics, frequency_cy_per_mm, path_um)
     return np.asarray(math.prod(terms_to_sensor(terms).values()))
 
 
-def shown_mtf(
+def scene_to_display_mtf(
     result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
 ) -> Array:
     """Return the MTF from scene to display: the product of all terms."""
@@ -166,8 +169,9 @@ def mtf50_cy_per_mm(
     mtf: Callable[[StudyResult, PixelPhysics, Array, float], Array] = system_mtf,
     path_um: float = 0.0,
 ) -> float:
-    """Return the lowest frequency at which `mtf` (`system_mtf` or `shown_mtf`) falls to one half.
+    """Return the lowest frequency at which an MTF falls to one half.
 
+    mtf : `system_mtf` or `scene_to_display_mtf`
     path_um : of light that moves, as in `mtf_terms`
     """
     side_um = physics.aperture_side_um
@@ -175,7 +179,8 @@ def mtf50_cy_per_mm(
         light = illumination_of(result.irradiance, result.camera, physics)
         side_um = float(aperture_side_um(physics.stack, light.pupil.at(0.0, 0.0))[0])
     low, high = 0.0, 1e3 / max(side_um, path_um)  # the first zero of the aperture, or of the path
-    for _ in range(2):  # within a step of the first 300, one of 300 again
+    # 300 steps up to the first zero, then 300 steps within the step that crosses one half.
+    for _ in range(2):
         frequency = np.linspace(low, high, 301)
         values = mtf(result, physics, frequency, path_um)
         below = int(np.argmax(values < 0.5))
@@ -185,10 +190,11 @@ def mtf50_cy_per_mm(
 
 
 def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tuple[float, str]:
-    """Return the frequency at which pages give the terms, and its name: a CSF chart's highest, else
-    half the Nyquist frequency.
+    """Return the frequency at which pages state the terms of the MTF, and its name: the highest of
+    a CSF chart, or half the Nyquist frequency.
     """
-    if frequencies := csf_range_lp_per_mm(irradiance):
+    frequencies = csf_range_lp_per_mm(irradiance)
+    if frequencies is not None:
         return frequencies[1], "the highest frequency of the chart"
     return 1e3 / (4 * pitch_um), f"half the Nyquist frequency of {pitch_um:.3g} µm pixels"
 
@@ -196,14 +202,15 @@ def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tu
 def detail_terms(
     imaging: Imaging, irradiance: SpectralImage, path_um: float = 0.0
 ) -> tuple[float, str, dict[str, float], dict[str, float]]:
-    """Return the frequency and its name, and the MTF there of each term, to the sensor and of the
-    display.
+    """Return the frequency of `detail_frequency_lp_per_mm` and its name, and the MTF there of each
+    term up to the sensor and of each term of the display.
     """
     frequency, name = detail_frequency_lp_per_mm(irradiance, imaging.pixel.pitch_um)
-    at = mtf_terms(imaging, irradiance, np.array(frequency), path_um=path_um)
-    terms = {term: float(mtf) for term, mtf in at.items()}
-    sensor = terms_to_sensor(terms)
-    return frequency, name, sensor, {term: mtf for term, mtf in terms.items() if term not in sensor}
+    mtf_of_terms = mtf_terms(imaging, irradiance, np.array(frequency), path_um=path_um)
+    terms = {term: float(mtf) for term, mtf in mtf_of_terms.items()}
+    sensor_terms = terms_to_sensor(terms)
+    display_terms = {term: mtf for term, mtf in terms.items() if term not in sensor_terms}
+    return frequency, name, sensor_terms, display_terms
 
 
 def mpe30_lx_s(
@@ -252,22 +259,24 @@ class NeqCurve:
 
 
 def run_neq(result: RunResult) -> dict[str, NeqCurve]:
-    """Return the NEQ of a run's sensor by its name; nothing without the metric information."""
+    """Return the NEQ of a run's sensor by the sensor's name; empty without the metric
+    information.
+    """
     if INFORMATION.name not in result.settings.metrics:
         return {}
-    return {
-        result.settings.pixel.technology: NeqCurve.of(
-            result.chain.expected(result.score.frame.integration_s)
-        )
-    }
+    frame = result.chain.expected(result.score.frame.integration_s)
+    return {result.settings.pixel.technology: NeqCurve.of(frame)}
 
 
 def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
-    """Return the NEQ of each sensor of a study, at its best size by information, by its label;
-    nothing without that metric.
+    """Return the NEQ of each sensor of a study by its label, at its best size by information.
+
+    Empty without the metric information.
     """
+    if INFORMATION.name not in result.study.metrics:
+        return {}
     neq_curves: dict[str, NeqCurve] = {}
-    for curve in result.curves if INFORMATION.name in result.study.metrics else ():
+    for curve in result.curves:
         rendered = result.sensors[curve.technology]
         best = curve.optima.get(INFORMATION.name, curve.optimum)
         chain = make_chain(rendered.imaging.at(best.pitch_um).registered(0), rendered.light())
@@ -276,10 +285,11 @@ def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
 
 
 def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
-    """Return the noise budget of each curve of each case by its words, at the best of the sizes
-    tried; empty where nobody asks.
+    """Return the noise budget of each curve of each case, at its best size tried, by the label of
+    the curve and that size.
 
-    The first frame of the first sensor has it, with the same random numbers in all cases.
+    Empty unless the study asks for it. The frame is the first one of the first sensor, with the
+    same random numbers in all cases.
     """
     if not result.study.noise_budget:
         return {}

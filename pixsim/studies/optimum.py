@@ -4,7 +4,7 @@ The mean ΔE of a pitch, y_i over R_i sensors, is modelled as f(u_i) + s_i y_i (
 smooth curve, a residual that the sensors of a pitch share, and the noise of each sensor (its
 registration with dots and detail, fixed pattern, temporal noise); z and e are standard normal. The
 noise follows from the scatter of the sensors. All pitches have the same registrations, and one
-relative noise, but for those whose scatter is significantly larger (`_loud_pitches`). f is a
+relative noise, but for those whose scatter is significantly larger (`_noisy_pitches`). f is a
 quintic smoothing spline in the logarithm u of the photodiode's width: as a Gaussian process, a
 quadratic of unknown coefficients plus a twice integrated Wiener process of stiffness k (G. Wahba,
 J. R. Stat. Soc. B 40 (1978) 364; C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
@@ -78,7 +78,8 @@ _NO_RIPPLE_WEIGHT = 1e-3  # prior of a curve without ripples over that of each o
 # Half the shortest interval, in units of the best size: the sweeps behind `_RIPPLES` have steps
 # of 3 %, and show no shorter ripples.
 _SHORTEST_HALF = 0.0075
-_LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
+# Chance that a study of equal scatter has a pitch that keeps its own variance.
+_NOISY_CHANCE = 0.01
 _NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
 _WEIGHT_USED = 0.95  # of the posterior of k, t and s; the rest weighs too little to draw from
 DRAWS = 2000
@@ -176,9 +177,9 @@ class FittedCurve:
     optimum : its minimum
     likeliest : posterior at the most likely stiffness, residual and noise
     noise : the likeliest variance of one sensor over the square of its mean ΔE
-    loud : the same of each pitch that has its own, by the pitch in µm
+    noisy : the same of each pitch that has its own variance, by the pitch in µm
     scale : unit of ΔE in the design
-    logarithmic : whether the design describes the logarithm of ΔE
+    is_logarithmic : whether the design describes the logarithm of ΔE
     width_um : photodiode width as a function of the pitch; by default proportional to it
     look_interval_um : (low, high) of `CONFIDENCE` at this look alone, by which further sizes and
         sensors are chosen; else as the interval of the optimum
@@ -191,9 +192,9 @@ class FittedCurve:
     optimum: Optimum
     likeliest: Posterior = field(repr=False)
     noise: float = field(repr=False)
-    loud: dict[float, float] = field(repr=False)
+    noisy: dict[float, float] = field(repr=False)
     scale: float = field(repr=False)
-    logarithmic: bool = field(repr=False)
+    is_logarithmic: bool = field(repr=False)
     look_interval_um: tuple[float | None, float | None] = field(repr=False)
     width_um: Widths = field(repr=False, default=np.asarray)
 
@@ -397,20 +398,20 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     Source: the regression of Wahba (1978), as this module's docstring describes it.
     """
     width_um = width_um or np.asarray
-    data = measured(places_of(pitch_um, float(pitch_um[0]), width_um), delta_e)
+    data = measurements_of(places_of(pitch_um, float(pitch_um[0]), width_um), delta_e)
     fits, weights = posteriors(data)
 
     drawn = _drawn_fit(data, fits, weights, pitch_um, width_um)
     low, high = drawn.pointwise_interval
     optimum, look_interval_um = _optimum(drawn, fits, weights)
 
-    # The noise of one sensor relative to its mean ΔE is equal at all pitches but the loud ones.
+    # The noise of one sensor relative to its mean ΔE is equal at all pitches but the noisy ones.
     likeliest = fits[0]
     scales = data.noise_scale
-    relative = np.zeros(data.mean.shape)
-    np.divide(likeliest.design.noise, scales, out=relative, where=scales != 0)
-    loud_um = pitch_um[data.loud].tolist()
-    loud = dict(zip(loud_um, relative[data.loud].tolist(), strict=True))
+    relative_variance = np.zeros(data.mean.shape)
+    np.divide(likeliest.design.noise, scales, out=relative_variance, where=scales != 0)
+    noisy_um = pitch_um[data.noisy].tolist()
+    noisy = dict(zip(noisy_um, relative_variance[data.noisy].tolist(), strict=True))
 
     return FittedCurve(
         pitch_um=drawn.fine_um,
@@ -419,10 +420,10 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         high=high,
         optimum=optimum,
         likeliest=likeliest,
-        noise=float(np.median(relative[~data.loud])),
-        loud=loud,
+        noise=float(np.median(relative_variance[~data.noisy])),
+        noisy=noisy,
         scale=data.scale,
-        logarithmic=data.logarithmic,
+        is_logarithmic=data.is_logarithmic,
         look_interval_um=look_interval_um,
         width_um=width_um,
     )
@@ -440,7 +441,7 @@ class _DrawnFit:
     draws : (`DRAWS`, `PLACES`) drawn curves, in units of the design
     """
 
-    data: Measured
+    data: Measurements
     pitch_um: Array
     fine_um: Array
     fine: Array
@@ -511,7 +512,11 @@ class _DrawnFit:
 
 
 def _drawn_fit(
-    data: Measured, fits: list[Posterior], weights: list[float], pitch_um: Array, width_um: Widths
+    data: Measurements,
+    fits: list[Posterior],
+    weights: list[float],
+    pitch_um: Array,
+    width_um: Widths,
 ) -> _DrawnFit:
     """Return the weighted mean of posteriors, and curves drawn from them."""
     fine_um = np.geomspace(pitch_um[0], pitch_um[-1], _FINE_PLACES)
@@ -568,7 +573,7 @@ def _least_interval(drawn: _DrawnFit, sharp: _SharpMinimum | None) -> tuple[floa
     """Return the 95 % interval of the least expected ΔE."""
     data = drawn.data
     low, high = (float(end[drawn.best]) for end in drawn.pointwise_interval)
-    if data.logarithmic:
+    if data.is_logarithmic:
         # The least value of a fit is too low: about as much as the least value of a curve drawn
         # from it is below its own.
         bias = float(drawn.curve[drawn.best]) - float(np.median(drawn.least_values))
@@ -632,120 +637,125 @@ def _optimum(
 
 
 @dataclass(frozen=True)
-class Measured:
-    """The mean ΔE of the pitches of a study, as it is fitted.
+class Measurements:
+    """Statistics of the measured mean ΔE of a study's pitches, to which a curve is fitted.
 
     mean : (P,) of each pitch
     scale : its unit in the design
-    relative : (P,) variance of one sensor over the square of the mean ΔE, pooled over all pitches
-        but those that are `loud`
-    degrees : (P,) of freedom of that variance
-    loud : (P,) whether the scatter of a pitch is significantly larger than the scatter of the
+    relative_variance : (P,) variance of one sensor over the square of the mean ΔE, pooled over all
+        pitches but those that are `noisy`
+    degrees_of_freedom : (P,) of that variance
+    noisy : (P,) whether the scatter of a pitch is significantly larger than the scatter of the
         others, so that the pitch has its own variance
     design : in units of `scale`, or of the logarithm
-    logarithmic : whether the logarithm is fitted
+    is_logarithmic : whether the logarithm is fitted
     """
 
     mean: Array
     scale: float
-    relative: Array
-    degrees: NDArray[np.int64]
-    loud: NDArray[np.bool_]
+    relative_variance: Array
+    degrees_of_freedom: NDArray[np.int64]
+    noisy: NDArray[np.bool_]
     design: Design
-    logarithmic: bool
+    is_logarithmic: bool
 
     @property
     def values(self) -> Array:
         """Mean ΔE over its scale, or the logarithm of that: the values that are fitted, (P,)."""
         relative_mean = self.mean / self.scale
-        return np.asarray(np.log(relative_mean)) if self.logarithmic else relative_mean
+        return np.asarray(np.log(relative_mean)) if self.is_logarithmic else relative_mean
 
     @property
     def ci95(self) -> Array:
         """Half the width of the 95 % interval of each pitch's own mean ΔE, (P,)."""
-        standard_error = self.mean * np.sqrt(self.relative / self.design.sensors)
-        return np.asarray(stdtrit(self.degrees, (1 + CONFIDENCE) / 2) * standard_error)
+        standard_error = self.mean * np.sqrt(self.relative_variance / self.design.sensors)
+        return np.asarray(stdtrit(self.degrees_of_freedom, (1 + CONFIDENCE) / 2) * standard_error)
 
     @property
     def noise_scale(self) -> Array:
         """Variance of the fitted values over the relative variance of ΔE, (P,)."""
-        return noise_scale(self.mean / self.scale, self.logarithmic)
+        return noise_scale(self.mean / self.scale, self.is_logarithmic)
 
     def delta_e_of(self, curves: Array) -> Array:
-        """Return the mean ΔE of curves (…) in units of the design."""
-        return np.asarray(self.scale * (np.exp(curves) if self.logarithmic else curves))
+        """Return the mean ΔE of curves (…), which are in units of the design."""
+        return np.asarray(self.scale * (np.exp(curves) if self.is_logarithmic else curves))
 
 
-def noise_scale(mean: Array, logarithmic: bool) -> Array:
+def noise_scale(mean: Array, is_logarithmic: bool) -> Array:
     """Return the variance of the fitted values over the relative variance of ΔE, (n,).
 
     mean : (n,) mean ΔE in units of the scale
-    logarithmic : whether the logarithm is fitted
+    is_logarithmic : whether the logarithm is fitted
     """
-    return np.ones(mean.shape) if logarithmic else mean**2
+    return np.ones(mean.shape) if is_logarithmic else mean**2
 
 
-def measured(u: Array, delta_e: Array) -> Measured:
+def measurements_of(u: Array, delta_e: Array) -> Measurements:
     """Return the means, noise and design of the mean ΔE (P, R) of sensors at coordinates u (P,).
 
     The standard deviation of a sensor is assumed proportional to the mean ΔE, and pooled over
-    pitches; but where the scatter is significantly larger, as where all pixels have one
-    registration with the dots, a pitch keeps its own.
+    pitches. A pitch whose scatter is significantly larger, as where all pixels have one
+    registration with the dots, keeps its own variance.
     """
     valid = np.isfinite(delta_e)
     sensors = valid.sum(axis=1)
     mean = np.nanmean(delta_e, axis=1)
     scale = float(mean.min()) or float(mean.max()) or 1.0
     squares = (np.where(valid, delta_e - mean[:, None], 0.0) ** 2).sum(axis=1)
-    loud = _loud_pitches(squares, mean, sensors - 1)
+    noisy = _noisy_pitches(squares, mean, sensors - 1)
 
     def pooled_variance(is_pooled: NDArray[np.bool_]) -> float:
         """Return the relative variance of one sensor, from the scatter at some pitches."""
         expected = float(((sensors - 1) * mean**2)[is_pooled].sum())
         return float(squares[is_pooled].sum()) / expected if expected else 0.0
 
-    relative = np.full(mean.shape, pooled_variance(~loud))
-    degrees = np.full(mean.shape, (sensors - 1)[~loud].sum())
-    for place in np.flatnonzero(loud):
-        relative[place] = pooled_variance(np.arange(mean.size) == place)
-        degrees[place] = sensors[place] - 1
+    relative_variance = np.full(mean.shape, pooled_variance(~noisy))
+    degrees_of_freedom = np.full(mean.shape, (sensors - 1)[~noisy].sum())
+    for place in np.flatnonzero(noisy):
+        relative_variance[place] = pooled_variance(np.arange(mean.size) == place)
+        degrees_of_freedom[place] = sensors[place] - 1
 
-    logarithmic = bool(mean.max() > STEEP * mean.min() > 0)
-    design = Design(u, relative * noise_scale(mean / scale, logarithmic), sensors)
-    return Measured(mean, scale, relative, degrees, loud, design, logarithmic)
+    is_logarithmic = bool(mean.max() > STEEP * mean.min() > 0)
+    design = Design(u, relative_variance * noise_scale(mean / scale, is_logarithmic), sensors)
+    return Measurements(
+        mean, scale, relative_variance, degrees_of_freedom, noisy, design, is_logarithmic
+    )
 
 
-def _loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which pitches scatter significantly more than the others, (P,): those that fail an F
-    test at `_LOUD`, the worst first.
+def _noisy_pitches(
+    squares: Array, mean: Array, degrees_of_freedom: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return which pitches scatter significantly more than the others, (P,).
+
+    An F test at `_NOISY_CHANCE` takes them out one by one, the worst first.
 
     The level is shared by all pitches, so that one of a hundred studies of equal scatter has such a
     pitch. At most half of them are taken out.
 
     squares : (P,) sums of squares about the mean of a pitch
-    mean, degrees : (P,) mean ΔE; degrees of freedom of the squares
+    mean, degrees_of_freedom : (P,) mean ΔE; and degrees of freedom of the squares
     """
     # Sums of squares of relative deviations.
     scatter = np.divide(squares, mean**2, out=np.zeros(mean.shape), where=mean != 0)
-    loud = np.zeros(mean.shape, bool)
-    while loud.sum() < mean.size // 2:
-        quiet = (~loud & (degrees > 0)).nonzero()[0]
+    noisy = np.zeros(mean.shape, bool)
+    while noisy.sum() < mean.size // 2:
+        quiet = (~noisy & (degrees_of_freedom > 0)).nonzero()[0]
         others_scatter = scatter[quiet].sum() - scatter[quiet]
-        others_degrees = degrees[quiet].sum() - degrees[quiet]
+        others_degrees = degrees_of_freedom[quiet].sum() - degrees_of_freedom[quiet]
         if quiet.size < 2 or not others_scatter.any():
             break
 
         with np.errstate(divide="ignore"):
-            ratio = scatter[quiet] / degrees[quiet] / (others_scatter / others_degrees)
-        chance = fdtrc(degrees[quiet], others_degrees, ratio)
-        loudest = int(np.argmin(chance))
-        if chance[loudest] >= _LOUD / mean.size:
+            ratio = scatter[quiet] / degrees_of_freedom[quiet] / (others_scatter / others_degrees)
+        chance = fdtrc(degrees_of_freedom[quiet], others_degrees, ratio)
+        noisiest = int(np.argmin(chance))
+        if chance[noisiest] >= _NOISY_CHANCE / mean.size:
             break
-        loud[quiet[loudest]] = True
-    return loud
+        noisy[quiet[noisiest]] = True
+    return noisy
 
 
-def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
+def posteriors(data: Measurements) -> tuple[list[Posterior], list[float]]:
     """Return posteriors of all likely parameters, the likeliest first, and their weights, sum 1."""
     design = data.design
     noise = float(np.sqrt(np.median(design.noise)))
@@ -772,7 +782,7 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
     return [fits[index] for index in used], (weights[used] / weights[used].sum()).tolist()
 
 
-def _designs_of_likely_noise(data: Measured) -> list[Design]:
+def _designs_of_likely_noise(data: Measurements) -> list[Design]:
     """Return the design at quantiles of its noise, which a finite number of sensors leaves unsure.
 
     The variance of a pitch is its estimate times degrees of freedom over χ².
@@ -780,10 +790,10 @@ def _designs_of_likely_noise(data: Measured) -> list[Design]:
     design = data.design
     if not design.noise.any():
         return [design]
-    degrees = data.degrees.astype(float)
+    degrees_of_freedom = data.degrees_of_freedom.astype(float)
     designs = []
     for quantile in _NOISE_QUANTILES:
-        factor = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))
+        factor = degrees_of_freedom / (2 * gammaincinv(degrees_of_freedom / 2, 1 - quantile))
         designs.append(replace(design, noise=design.noise * factor))
     return designs
 
@@ -879,8 +889,10 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float 
     lowest = np.flatnonzero(y - error <= (y + error)[np.argmin(y)])
 
     def end(first: int, step: int) -> float | None:
-        """Where the line through the next two points has come down to the first one; `step` leads
-        away from the lowest.
+        """Return the place at which the line through the next two points has come down to the first
+        one.
+
+        step : 1 or -1, away from the lowest point
         """
         near = first + step
         far = first + 2 * step
@@ -898,9 +910,9 @@ def convex_range(x: Array, y: Array, error: Array) -> tuple[float | None, float 
 def close_to_least(
     pitch_um: Array, curve: Array, share: float
 ) -> tuple[float | None, float | None]:
-    """Return the range of pitches with mean ΔE within a relative share of the minimum.
+    """Return the range of pitches whose mean ΔE is within a relative share of the minimum.
 
-    An end that is an end of the curve is None.
+    None stands for an end of the curve.
     """
     minimum = float(curve.min())
     near = np.flatnonzero(curve <= minimum + share * abs(minimum))
@@ -918,7 +930,7 @@ def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
     The scatter of sensors, relative to the mean ΔE, is pooled over pitches: two sensors of one
     pitch alone say little.
     """
-    data = measured(np.arange(float(len(delta_e))), delta_e)
+    data = measurements_of(np.arange(float(len(delta_e))), delta_e)
     return data.mean, data.ci95
 
 

@@ -19,7 +19,8 @@ from pixsim.viewer.metrics import DELTA_E, Metric
 CONFIDENCE = 0.95
 MIN_PAIRS = 2  # that have a scatter
 NORMAL_95 = 1.96
-NOISE_SENSORS = 4  # at the first sensor's registration, with it, whose scatter is that of the noise
+# Sensors at the first one's registration, itself included: their scatter is due to noise alone.
+NOISE_SENSORS = 4
 _NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
 SENSOR, CONDITION = "technology", "condition"  # labels of a table
 
@@ -68,10 +69,12 @@ class Pairs:
         return probability_above_zero(sign * self.differences)
 
     def sign(self, error: float = 0.0) -> int:
-        """Return 1 if a is surely better, -1 if b is, 0 if the difference is within half of its
-        interval and a further error.
+        """Return 1 if a is better, -1 if b is, and 0 if the difference is not significant.
 
-        Also 0 where the number is not defined in a frame.
+        It is significant if it exceeds half of its interval by more than `error`. A number that is
+        not defined in a frame gives 0.
+
+        error : a further error of the difference
         """
         is_sure = self.a.size >= MIN_PAIRS and abs(self.difference) > self.half_width + error
         return int(np.sign(self.metric.worse_by(self.difference))) if is_sure else 0

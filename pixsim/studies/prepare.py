@@ -1,13 +1,14 @@
-"""What a command decides before its first render: display and chart for a data sheet's sensor,
-pixel sizes, cases.
+"""Prepare a command before its first render: choose the display, the chart and the pixel sizes that
+the user left open, and check all cases.
 
-A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen
-et al. (2000) has. Where nobody sets them, its display has a dot for each column of pixels, up to
+The process of Chen et al. (2000) comes with a display and a chart; a data sheet does not. Unless
+the user sets them, the display of a data sheet's sensor has a dot for each column of pixels, up to
 2048, and the CSF chart ends at the highest frequency that the sensor, the lens and the display can
 show. Both are chosen once a command, so that all its scores are comparable.
 
-Settings that do nothing are found here, and sensor types are drawn: values for the unknown numbers
-of the sensors of a study or a comparison. `pixsim.studies.uncertainty` evaluates the draws.
+This module also warns of settings that have no effect, and draws sensor types: values for the
+unknown numbers of the sensors of a study or a comparison. `pixsim.studies.uncertainty` evaluates
+them.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ from pixsim.viewer.without_effect import (
     warn_of_settings_without_effect,
 )
 
-# --- settings that do nothing
+# --- settings without effect
 # --------------------------------------------------------------------------------------------------
 
 
@@ -124,8 +125,9 @@ def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
 
 @dataclass(frozen=True)
 class _SizeSettings(UserSettings):
-    """Settings of one technology of a study at one of its pixel sizes. A setting that changes the
-    list of sizes has an effect, too.
+    """Settings of one technology of a study at one of its pixel sizes.
+
+    A setting that changes the list of sizes has an effect, too.
 
     study : as the user states it
     """
@@ -181,12 +183,16 @@ def settings_of_technology(
     settings = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
-        at_size = UserSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
-        names = at_size.names
+        settings_at_size = UserSettings.of(
+            imaging.changed(metrics=metrics_of(study)), tables, **facts
+        )
+        names = settings_at_size.names
         if technology == NO_TECHNOLOGY:
             names = tuple(name for name in names if name != _SHEET_PITCH)
         settings.append(
-            _SizeSettings(at_size.imaging, names, **facts, study=study, technology=technology)
+            _SizeSettings(
+                settings_at_size.imaging, names, **facts, study=study, technology=technology
+            )
         )
     return settings
 
@@ -199,7 +205,7 @@ _MAX_AXIS_VALUES = 5  # of the axis of a study whose sensor types are drawn
 
 @dataclass(frozen=True)
 class UncertaintyRequest:
-    """A user's questions about the unknown numbers of sensors.
+    """Sensor types that a user asks for, to find the effect of the unknown numbers of sensors.
 
     draws : sensor types; rounded up to a power of two
     total : whether total indices are estimated, from draws × (inputs + 2) types
@@ -300,7 +306,7 @@ def check_types(
     """Return the number of sensor types of a study, and the largest number of their evaluations for
     all metrics.
 
-    cases : of the study
+    cases : the settings of each case of the study
     agreed : whether the user agrees to very many evaluations
 
     Raises PixsimError for axes with which types cannot be drawn, if nothing is unknown, and for too
@@ -404,8 +410,8 @@ def choose_view(
 
     `dots` are the columns of pixels on the die, 8 to 2048. The CSF chart ends at `max_lp_per_mm` on
     the sensor, the least of the Nyquist frequencies of sensor and display and the cut-off of the
-    lens in green light; `limited_by` names it. What was set, or does not apply, is left out.
-    `with_view` completes settings with them.
+    lens in green light; `limited_by` names it. Values that the user set, or that do not apply, are
+    left out. `with_view` completes settings with the view.
 
     camera : of the window that is simulated
     scene : None for a picture of another program
@@ -685,7 +691,7 @@ def loaded_scene(
 ) -> Scene:
     """Return a scene with its parameters, on a film of `resolution` samples across if that is set.
 
-    display : says whether light of the scene has to say what a white plate in it shows
+    display : if its white is that of a diffuser, the scene renders such a plate, too
 
     Raises PixsimError as `pixsim.load_scene`.
     """
@@ -697,7 +703,7 @@ def loaded_scene(
 
 
 _GIVEN_LIGHT = "(given light)"  # in place of a scene's file
-# What light of a scene is rendered by, and given light is not.
+# Settings of a render, which light that is given does not have.
 _SCENE_SETTINGS = (
     "scene",
     "camera",
@@ -712,8 +718,9 @@ _SCENE_SETTINGS = (
 
 
 def check_given_light(**settings: object) -> None:
-    """Raise PixsimError for what says which scene is rendered, beside light that is given."""
-    if names := [name for name, value in settings.items() if value]:
+    """Raise PixsimError for settings of a scene beside light that is given."""
+    names = [name for name, value in settings.items() if value]
+    if names:
         raise invalid(names[0], "a value beside light", "one of the two")
 
 
@@ -798,7 +805,7 @@ class _Sources:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job(Generic[Settings]):
-    """What a command is asked for, with cases that are resolved and checked.
+    """A command that is ready to run: its settings, and its cases, resolved and checked.
 
     stated : settings as the user states them
     complete : the same, with display and chart; of a study with its axes and conditions
@@ -895,7 +902,7 @@ def prepare(
         with named((case.words or BASE) if study.has_cases else ""):
             complete.append(_complete_case(case, base_study, view, sources, background))
     _warn_of_settings_without_effect(cases, complete)
-    _warn_of_other_parts(complete)
+    _warn_of_unequal_margins(complete)
 
     sensors: list[Case[Study]] = []
     for case, complete_case in zip(cases, complete, strict=True):
@@ -977,13 +984,13 @@ def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
         )
 
 
-def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
-    """Warn if what moves leaves other parts of the frame to score in one case than in another."""
-    rooms_um = {
+def _warn_of_unequal_margins(cases: Sequence[Case[Study]]) -> None:
+    """Warn if motion leaves a wider margin of the frame unscored in one case than in another."""
+    margins_um = {
         border_on_um(case.settings, case.camera) - case.settings.border_um for case in cases
     }
-    if len(rooms_um) > 1:
-        warn(Note("unequal_margins", margin_um=math.ceil(max(rooms_um))))
+    if len(margins_um) > 1:
+        warn(Note("unequal_margins", margin_um=math.ceil(max(margins_um))))
 
 
 def _warn_of_settings_without_effect(
@@ -1019,13 +1026,15 @@ def _tried_settings(
 
 def _same_chart(first: Study, second: Study) -> bool:
     """Return whether two studies show the same scene with the same chart."""
-    files = [(study.scene.file, study.scene.parameters.get("chart")) for study in (first, second)]
-    return files[0] == files[1]
+    if first.scene.file != second.scene.file:
+        return False
+    return first.scene.parameters.get("chart") == second.scene.parameters.get("chart")
 
 
 def _without_axes(study: Study) -> Study:
-    """Return the study with its own settings alone; an axis over technologies leaves the first of
-    them.
+    """Return a study without its axes and conditions.
+
+    Of an axis over technologies, the first one becomes the technology of the study.
     """
     table = study.stated
     for axis in study.axis:
@@ -1054,8 +1063,8 @@ def check_metrics(
     units : of light in files that do not state them
     names : of the pixels, for messages
 
-    Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or
-    for the source.
+    Raises PixsimError for a metric that is unknown, or not defined for one of the pixels or for the
+    source.
     """
     request = metrics_of(settings)
     if isinstance(source, SpectralImage):
@@ -1135,7 +1144,7 @@ def sensor_case(
     request : metrics. None takes ΔE and the metrics of the settings
     imaging_fields : further fields of `Imaging`, such as `is_run`
 
-    Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many
+    Raises PixsimError for metrics that are not defined for the pixel, and if the die has too many
     pixels, or too few dots.
     """
     run = case.settings

@@ -44,7 +44,7 @@ class Criterion:
         """Return how much worse sizes are than the best one: value / best - 1, or best / value - 1
         where more is better.
 
-        Infinite where nothing is left of what more is better, or where the best value is 0.
+        Infinite where the share is 0.
 
         pitch_um : (...)
         """
@@ -84,7 +84,7 @@ def share_of_best(fit: FittedCurve) -> Array:
     """Return the least loss of a fitted curve over its loss at each of its pitches, (n,), at most
     1.
 
-    Of a least loss of 0, nothing is left where the loss is another one.
+    If the least loss is 0, the share is 0 wherever the loss is larger.
     """
     loss = np.maximum(fit.delta_e, 0.0)
     best = float(loss.min())
@@ -92,8 +92,9 @@ def share_of_best(fit: FittedCurve) -> Array:
 
 
 def _criterion_of(curve: Curve, name: str, weight: float | None = None) -> Criterion:
-    """Return a curve's first metric as a criterion: no share is left at sizes where some sensors
-    have nothing of it.
+    """Return the first metric of a curve as a criterion.
+
+    Its share is 0 at sizes at which some sensors have no value.
     """
     pitch_um, _ = curve.along
     share = np.zeros(pitch_um.shape)
@@ -118,11 +119,10 @@ _WEIGHTED = "weighted mean"
 
 
 def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
-    """Return the regrets of the conditions for each technology, combination of axes and metric;
-    none without conditions.
+    """Return the regrets of the conditions for each technology, combination of axes and metric.
 
-    A metric that tells a best size in all conditions counts. The last criterion is the weighted
-    mean over the conditions, if `weighted_fit` has one.
+    Empty without conditions. Only metrics with a best size in all conditions are compared. The last
+    criterion is the weighted mean over the conditions, if `weighted_fit` has one.
     """
     groups: dict[tuple[object, ...], list[Curve]] = {}
     for curve in curves:

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-_FEW_ROWS = 64  # that tell which part of the pixels is full
+_FEW_ROWS = 64  # from which the share of saturated pixels is estimated
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,8 @@ class StudyResult(Result):
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
         labels = dict(zip(technologies, labels_of(technologies), strict=True))
-        object.__setattr__(
-            self,
-            "curves",
-            tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves),
-        )
+        labelled = tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves)
+        object.__setattr__(self, "curves", labelled)
 
     def _labelled(self, curve: Curve, label: str) -> Curve:
         """Return a curve with its label, the errors of its light, and its Fresnel numbers."""
@@ -216,8 +213,10 @@ class StudyResult(Result):
         return self._scores(technology, pitch_um, repeats)
 
     def shown_scores(self, technology: str, pitch_um: Pitch, repeats: Count) -> list[FrameScore]:
-        """Return `scores` of a `technology` in less time, for pictures: where the cache has the
-        frames, their `mean_e` is 0.
+        """Return the scores of the first `repeats` sensors of a `technology`, for pictures only.
+
+        They are those of `scores`, but the `mean_e` of frames from the cache is 0: the light of
+        such frames is not computed again, which saves time.
 
         pitch_um : of the pixels
         repeats : number of sensors
@@ -246,13 +245,13 @@ class StudyResult(Result):
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
     def shown_part(self, technology: str, pitch_um: Pitch, part: Callable[[Array], Array]) -> Array:
-        """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as
-        `scores` has it, without ΔE.
+        """Return a part of the displayed picture, (rows, columns), of the first sensor of a pitch.
 
-        A frame of the cache is shown directly, which takes a fifth of the time of simulating it.
+        The picture is that of `scores`, without ΔE. A frame from the cache takes a fifth of the
+        time of simulating it.
 
         technology : name or path as in `Study.technologies`
-        part : cuts it out of the whole picture
+        part : cuts the part out of the whole picture
         """
         rendered = self.sensors[technology]
         task = task_of(rendered, rendered.imaging.at(pitch_um), 0, {})
@@ -303,12 +302,11 @@ class CasesResult(StudyResult):
     def part_of(self, curve: Curve) -> StudyResult:
         """Return the result of the case of a curve."""
         case = curve.at, curve.condition, curve.alone
-        same = (
-            part
-            for part in self.parts
-            if (part.curves[0].at, part.curves[0].condition, part.curves[0].alone) == case
-        )
-        return next(same, self)
+        for part in self.parts:
+            first = part.curves[0]
+            if (first.at, first.condition, first.alone) == case:
+                return part
+        return self
 
     @property
     def cases(self) -> tuple[StudyResult, ...]:

@@ -110,8 +110,10 @@ class Threshold:
     upper_value: float | None = None
 
 
-def _start_of(settings: Run, source: Scene | object) -> float | None:
-    """Return the first value of the parameter that a run solves for, or None without one.
+def _start_value(settings: Run, source: Scene | object) -> float | None:
+    """Return the value from which the search of a run for its threshold starts.
+
+    Returns None for a run that solves for no parameter.
 
     Raises PixsimError for light of another program, and for a parameter without a number.
     """
@@ -164,7 +166,7 @@ def _threshold_of(
     options = settings.metric.detectability
     case = job.cases[0]
     name = options.solve_for
-    start = _start_of(settings, case.scene)
+    start = _start_value(settings, case.scene)
     assert name is not None
     assert start is not None
 
@@ -196,13 +198,13 @@ def _threshold_of(
 
     with suppressed_warnings():
         search = Search(excess, {0.0: logarithm(d_prime)})
-        low, high = search.seen()
+        low, high = search.positive_range()
 
     reason = ""
     if low is None and high is None:
         best = search.best
-        largest = options.threshold * math.exp(search.at[best])
-        reason = search.why_not or f"d′ is at most {largest:.3g}, at {start * math.exp(best):.4g}"
+        largest = options.threshold * math.exp(search.values[best])
+        reason = search.failure or f"d′ is at most {largest:.3g}, at {start * math.exp(best):.4g}"
     return Threshold(
         parameter=name,
         threshold=options.threshold,
@@ -217,44 +219,47 @@ class Search:
     """Where a function that rises, and may fall beyond a maximum, is 0 or more, from few of its
     values.
 
-    function : of a logarithm; it raises PixsimError for what cannot be
-    at : its values that are known, of one argument at least
+    function : of a logarithm; it raises PixsimError for an argument that is impossible
+    values : argument -> value, of one argument at least
     """
 
-    def __init__(self, function: Callable[[float], float], at: dict[float, float]) -> None:
+    def __init__(self, function: Callable[[float], float], values: dict[float, float]) -> None:
         self.function = function
-        self.at = at
-        self.tried = list(at)
-        self.limits = {-1: -math.inf, 1: math.inf}  # what cannot be, by the direction
-        self.why_not = ""
+        self.values = values
+        self.tried = list(values)
+        # Impossible arguments, by the direction.
+        self.limits = {-1: -math.inf, 1: math.inf}
+        self.failure = ""
 
     @property
     def best(self) -> float:
-        """Where its greatest value so far is; the lowest argument of several."""
-        return max(self.at, key=lambda away: (self.at[away], -away))
+        """The argument with the greatest value so far; the lowest one of several."""
+        return max(self.values, key=lambda argument: (self.values[argument], -argument))
 
-    def seen(self) -> tuple[float | None, float | None]:
-        """Return the ends of the range in which the function is 0 or more, or None for an end that
-        no step reaches.
+    def positive_range(self) -> tuple[float | None, float | None]:
+        """Return the ends of the range in which the function is 0 or more.
+
+        An end that no step reaches is None.
         """
         self.climb()
-        if self.at[self.best] < 0:
+        if self.values[self.best] < 0:
             return None, None
         return self.end(-1, _MAX_STEPS), self.end(1, _UPWARD_STEPS)
 
     def climb(self) -> None:
-        """Evaluate until it is 0 or more somewhere: up first, down from where it falls, then around
-        its maximum.
+        """Evaluate the function until it is 0 or more somewhere.
+
+        It goes up first, then down from where the function falls, and then closes in on the
+        maximum.
         """
         for _ in range(_MAX_STEPS):
             best = self.best
-            lower, upper = (
-                [away for away in self.at if (away - best) * sign > 0] for sign in (-1, 1)
-            )
-            if self.at[best] >= 0:
+            lower = [argument for argument in self.values if argument < best]
+            upper = [argument for argument in self.values if argument > best]
+            if self.values[best] >= 0:
                 return
             if not upper:
-                self.step(best, 1, min(-_STEP_FACTOR * self.at[best], _MAX_STEP))
+                self.step(best, 1, min(-_STEP_FACTOR * self.values[best], _MAX_STEP))
             elif not lower:
                 self.step(best, -1, _MAX_STEP)
             else:
@@ -264,42 +269,48 @@ class Search:
                 self.step(best, direction, max(lower_gap, upper_gap) / 2)
 
     def end(self, direction: int, steps: int) -> float | None:
-        """Return where the function crosses 0 beyond all arguments at which it is more.
+        """Return the argument at which the function crosses 0, beyond all arguments with a value of
+        0 or more.
 
-        Returns None if it does in no step.
+        Returns None if no step crosses 0.
 
         direction : 1 or -1
-        steps : largest number of them
+        steps : largest number of steps
         """
         for number in range(steps + 1):
-            inner = direction * max(direction * away for away in self.at if self.at[away] >= 0)
-            outside = [away for away in self.at if (away - inner) * direction > 0]
+            positive = [argument for argument, value in self.values.items() if value >= 0]
+            inner = max(positive) if direction > 0 else min(positive)
+            outside = [argument for argument in self.values if (argument - inner) * direction > 0]
             if outside:
-                outer = min(outside, key=lambda away: abs(away - inner))
+                outer = min(outside, key=lambda argument: abs(argument - inner))
                 return float(scipy.optimize.brentq(self.evaluate, outer, inner, xtol=WITHIN))
             is_bright = direction > 0
-            if not self.at[inner] and not is_bright:
+            if not self.values[inner] and not is_bright:
                 return inner
             if number == steps or (is_bright and self.limits[1] < math.inf):
                 break
-            length = _MAX_STEP if is_bright else min(_STEP_FACTOR * self.at[inner], _MAX_STEP)
+            length = _MAX_STEP if is_bright else min(_STEP_FACTOR * self.values[inner], _MAX_STEP)
             self.step(inner, direction, length)
         return None
 
-    def step(self, away: float, direction: int, length: float) -> None:
-        """Evaluate it farther in a direction; towards what cannot be, half way."""
-        away += direction * min(length, abs(self.limits[direction] - away) / 2)
-        self.tried.append(away)
-        try:
-            self.evaluate(away)
-        except PixsimError as error:
-            self.limits[direction], self.why_not = away, str(error)
+    def step(self, argument: float, direction: int, length: float) -> None:
+        """Evaluate the function a step farther in a direction.
 
-    def evaluate(self, away: float) -> float:
-        """Return its value, which is computed once."""
-        if away not in self.at:
-            self.at[away] = self.function(away)
-        return self.at[away]
+        The step goes at most half way to an argument that is impossible.
+        """
+        argument += direction * min(length, abs(self.limits[direction] - argument) / 2)
+        self.tried.append(argument)
+        try:
+            self.evaluate(argument)
+        except PixsimError as error:
+            self.limits[direction] = argument
+            self.failure = str(error)
+
+    def evaluate(self, argument: float) -> float:
+        """Return the value at an argument, which is computed once."""
+        if argument not in self.values:
+            self.values[argument] = self.function(argument)
+        return self.values[argument]
 
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
@@ -321,12 +332,12 @@ def prepare(
     sensor: str | None = None,
     variant: str | None = None,
     units: str | None = None,
-    judges_settings: bool = True,
+    warns_of_unused_settings: bool = True,
 ) -> Job[Run]:
     """Choose what a run leaves open, and check everything that can be checked before a render.
 
     source : scene, picture of another program, or light in memory, which has the name `LIGHT_FILE`
-    full : leave out no effect, whatever the plan says of its size
+    full : simulate every effect, also those that the plan finds too small to matter
     repeats, frames : number of sensors of the kind, and of frames of the first one
     sensor, variant, units : of the scene, and of the picture
     judges_settings : whether to warn of settings that do nothing
@@ -363,8 +374,8 @@ def prepare(
         )
         whole = scene.camera(settings.camera, settings.lens)
         file = source
-    _start_of(settings, scene)
-    if judges_settings:
+    _start_value(settings, scene)
+    if warns_of_unused_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
         stated = UserSettings.from_setting(imaging, settings, picture=picture)
         warn_of_settings_without_effect({"": [stated]})
@@ -458,7 +469,7 @@ class RunResult(RenderedRun, Result):
 
     @property
     def settings(self) -> Run:
-        """The settings, with all that was left open."""
+        """The complete settings, with the values that pixsim chose."""
         return self.prepared.settings
 
     @property
@@ -492,14 +503,13 @@ class RunResult(RenderedRun, Result):
         return self.table_at_first is not None
 
     def interval(self, values: Array, column: str) -> tuple[float, float] | None:
-        """Return the 95 % interval of the expectation of a number of the sensors. None of one
-        sensor.
+        """Return the 95 % interval of the expected value of a number over such sensors.
 
-        It is the interval of `spread_interval`. Where all sensors have one registration, it is by
-        Student's t.
+        Returns None for a single sensor. The interval is that of `spread_interval`, or Student's t
+        where all sensors have one registration.
 
-        values : (sensors,)
-        column : its name among `statistics`
+        values : (sensors,) the number of each sensor
+        column : name of the number among `statistics`
         """
         if values.size == 1:
             return None
@@ -558,7 +568,7 @@ class RunResult(RenderedRun, Result):
 
     @property
     def light_limit(self) -> LightError:
-        """What is tolerated of the errors of the light."""
+        """Largest tolerated errors of the light."""
         return self._light_and_limit[1]
 
     @property
@@ -576,16 +586,17 @@ class RunResult(RenderedRun, Result):
 
     @property
     def colour(self) -> dict[str, Any] | None:
-        """Channels, matrix and noise gains of a colour sensor, as in score.json, or None."""
+        """Channels, matrix and noise gains of a colour sensor, as in score.json.
+
+        None for a sensor without colour filters.
+        """
         if self.chain.colour_chart is None:
             return None
         return self.chain.development.colour_facts(self.score.frame.integration_s)
 
     @property
     def notes(self) -> list[Note]:
-        """What a reader should know besides the score: its causes, warnings, a black level that
-        clips dark noise.
-        """
+        """Remarks on the score: its causes, warnings, and a black level that clips dark noise."""
         return [Note.restored(**note) for note in self.as_dict()["notes"]]
 
     def further_frames(self) -> Iterator[Frame]:
@@ -652,7 +663,7 @@ def run(
     """
     if metrics:
         settings["metrics"] = metric_names(metrics)
-    with collected_notes():  # also of what is found before the run begins
+    with collected_notes():  # also those of the preparation
         overrides = {
             name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table
         }
@@ -731,7 +742,7 @@ def score_run(
                 table_at_first = evaluate_points(_sensors_at_first(rendered), None, Workers())
 
     threshold = None
-    if light is not None and _start_of(settings, case.scene) is not None:
+    if light is not None and _start_value(settings, case.scene) is not None:
         d_prime = float(table.columns["detectability"][0])
         threshold = _threshold_of(
             job, light, d_prime, partial(_d_prime_in, case), stage("look for the threshold")

@@ -1,5 +1,5 @@
-"""Sensors that are compared: from their files to cases that see the same field, on one display, in
-the same light.
+"""Sensors of a comparison: from their files to cases that see the same field, in the same light, on
+one display.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from pixsim.studies.prepare import (
     with_view,
 )
 from pixsim.studies.settings import (
-    STUDY_ALONE,
+    IGNORED_ELSEWHERE,
     Study,
     check_supported,
     owner_of,
@@ -92,7 +92,8 @@ SENSOR_TABLES = ("camera", "lens", "pixel", "exposure")
 _STUDY_TABLES = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
 SHARED = [name for name in _STUDY_TABLES if name not in ("scene", "camera", "lens", "pixel")]
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own
-# Digits of a chart's frequency on another sensor, so that settings.toml repeats it exactly.
+# Significant digits of a chart's frequency on another sensor, so that settings.toml repeats it
+# exactly.
 DIGITS = 12
 
 
@@ -160,8 +161,8 @@ class SensorGroup:
         return light_request(replace(sensor, resolved=(scene, sensor.camera)))
 
     def sees_the_same(self, other: SensorGroup) -> bool:
-        """Return whether field, chart, film and displays of these sensors are the same in another
-        group.
+        """Return whether field, chart, film and displays are the same in another group of these
+        sensors.
         """
         if (self.border, self.film_width) != (other.border, other.film_width):
             return False
@@ -302,42 +303,51 @@ def _warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
 
 
 def _overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
-    """Return settings of a condition and of axes as tables of `Run`. Raises PixsimError for one
-    that a comparison does not have.
+    """Return settings of a condition and of axes as tables of `Run`.
 
     where : names the condition and the values
+
+    Raises PixsimError for a setting that a comparison does not have.
     """
     allowed = [name for name in _STUDY_TABLES if name != "seed"]
     if others := [name for name in table if name not in allowed]:
         hint = "The sensors of a comparison have their numbers from their own files."
         raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
-    camera, pixel, scene = (table.get(name) for name in ("camera", "pixel", "scene"))
-    if isinstance(camera, Mapping) and (die := [name for name in DIE_FIELDS if name in camera]):
-        raise invalid(
-            where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die"
-        )
-    if isinstance(pixel, Mapping) and (size := [name for name in SIZE if name in pixel]):
-        raise invalid(
-            where, f"set.pixel.{size[0]}", "settings that leave each sensor its own pixel size"
-        )
-    files = "set.scene.file, set.scene.parameters.<name>"
-    if scene is not None and not isinstance(scene, Mapping):
-        raise invalid(where, f"set.scene = {scene!r}", files)
-    if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
-        raise invalid(where, f"set.scene.{unknown[0]}", files)
+    for name in DIE_FIELDS:
+        if name in _table_of(table, "camera"):
+            lens_settings = "settings of the lens: each sensor has its own die"
+            raise invalid(where, f"set.camera.{name}", lens_settings)
+    for name in SIZE:
+        if name in _table_of(table, "pixel"):
+            other_settings = "settings that leave each sensor its own pixel size"
+            raise invalid(where, f"set.pixel.{name}", other_settings)
+
+    scene = table.get("scene", {})
+    scene_settings = "set.scene.file, set.scene.parameters.<name>"
+    if not isinstance(scene, Mapping):
+        raise invalid(where, f"set.scene = {scene!r}", scene_settings)
+    for name in scene:
+        if name not in StudyScene.model_fields:
+            raise invalid(where, f"set.scene.{name}", scene_settings)
     return Layer(_as_run(table, allowed), where)
 
 
+def _table_of(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Return a table of settings; an empty one if it is missing, or no table."""
+    table = tables.get(name)
+    return table if isinstance(table, Mapping) else {}
+
+
 @dataclass(frozen=True)
-class _Circumstances:
-    """What the axes and one condition of a study set for every sensor.
+class _CaseOverrides:
+    """Settings of all sensors at one combination of the values of axes, under one condition.
 
     weight : share of the condition; 1 without conditions
-    layer : settings over those that all sensors share, or None where neither sets any
-    scene : file of the scene, where they set it; else empty
+    layer : the settings, which take precedence over those of all cases; None if there are none
+    scene : file of the scene, if axes or condition set it; else empty
     at, alone, condition, labels : of the case, as in `Case`
     words : values of axes and condition, for messages
-    sensors : of a comparison, in these circumstances
+    sensors : of a comparison, with these settings
     """
 
     weight: float = 1.0
@@ -351,13 +361,13 @@ class _Circumstances:
 
     @property
     def labels(self) -> dict[str, Label]:
-        """What tells its cases from others."""
+        """Labels that distinguish its cases from those of other combinations."""
         return self.at | ({"condition": self.condition} if self.condition else {})
 
     def labelled(self, case: Case[Run], **labels: Label) -> Case[Run]:
-        """Return a sensor as a case in these circumstances.
+        """Return the case of a sensor with the labels of these axes and this condition.
 
-        labels : before theirs
+        labels : further labels, which come first
         """
         return replace(
             case,
@@ -368,27 +378,27 @@ class _Circumstances:
         )
 
 
-def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstances]]:
-    """Return the circumstances of a study: at each combination of its axes, under each of its
-    conditions.
+def case_overrides(plan: Study | None, source: str = "") -> list[list[_CaseOverrides]]:
+    """Return the settings that a study overrides: for each combination of its axes, a list with one
+    for each of its conditions.
 
     source : file of the study, for messages
 
-    Raises PixsimError for settings that sensors with files or pixels of their own do not have.
+    Raises PixsimError for settings of a study that single sensors do not have.
     """
     if plan is None or not plan.has_cases:
-        return [[_Circumstances()]]
+        return [[_CaseOverrides()]]
     if plan.axis:
         cases_of(plan)  # raises an error for values that are not allowed
     total = sum(condition.weight for condition in plan.condition)
-    combined: list[list[_Circumstances]] = []
+    combined: list[list[_CaseOverrides]] = []
     for chosen, alone in combinations(plan.axis):
         at = values_at(plan.axis, chosen)
         table: dict[str, Any] = {}
         for point in chosen.values():
             table = merge(table, point.table)
 
-        conditions: list[_Circumstances] = []
+        conditions: list[_CaseOverrides] = []
         for condition in plan.condition or (None,):
             name = ""
             settings = table
@@ -403,7 +413,7 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstan
             if settings:
                 layer = _overrides_layer(settings, ": ".join(filter(None, (source, words))))
             conditions.append(
-                _Circumstances(
+                _CaseOverrides(
                     weight=weight,
                     layer=layer,
                     scene=str(settings.get("scene", {}).get("file", "")),
@@ -417,14 +427,12 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[_Circumstan
     return combined
 
 
-def _circumstances_of_sensors(
+def _overrides_with_sensors(
     files: Sequence[str], shared: _SharedSettings
-) -> list[list[_Circumstances]]:
-    """Return the circumstances of a comparison with the sensors of its files: at each combination
-    of axes, under each condition.
-    """
-    combined: list[list[_Circumstances]] = []
-    for conditions in circumstances(shared.plan, shared.source):
+) -> list[list[_CaseOverrides]]:
+    """Return `case_overrides` of a comparison, with the sensors of its files under each of them."""
+    combined: list[list[_CaseOverrides]] = []
+    for conditions in case_overrides(shared.plan, shared.source):
         complete = []
         for condition in conditions:
             sensors = _read_sensors(files, shared, condition.layer)
@@ -441,16 +449,12 @@ def _circumstances_of_sensors(
 
 def _warn_of_uncertainty(sources: Sequence[str]) -> None:
     """Warn of the [pixel.uncertainty] of sensor files, where no sensor types are drawn."""
+    reason = f"it is used with {setting('uncertainty')} only"
     for path in map(Path, sources):
-        if path.is_file() and (unsure := sheet_uncertainty(path)):
-            reason = f"it is used with {setting('uncertainty')} only"
-            warn(
-                Note(
-                    "not_used",
-                    setting=f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)}",
-                    reason=reason,
-                )
-            )
+        spreads = sheet_uncertainty(path) if path.is_file() else {}
+        if spreads:
+            name = f"{path.name}: [pixel.uncertainty] of {', '.join(spreads)}"
+            warn(Note("not_used", setting=name, reason=reason))
 
 
 def _warn_of_settings_without_effect(
@@ -463,7 +467,7 @@ def _warn_of_settings_without_effect(
     that set them.
 
     stated : the sensors under each condition, as the user set them
-    complete : the same, with their cameras
+    complete : the same sensors with their cameras
     unused : dotted names of settings that only a study takes
 
     Motion, display, correction and development are set by the first sensor; so is the lens, unless
@@ -481,7 +485,7 @@ def _warn_of_settings_without_effect(
             imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
             other_lens = () if match == "own" else _changed_lens(run, first)
             settings = UserSettings.from_setting(
-                imaging, run, not_taken=(*STUDY_ALONE, SOLVE_FOR, *other_lens)
+                imaging, run, not_taken=(*IGNORED_ELSEWHERE, SOLVE_FOR, *other_lens)
             )
             settings = replace(settings, names=(*settings.names, *unused))
             sensors.setdefault(sensor.sensor, []).append(settings)
@@ -502,33 +506,33 @@ def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
 
 
 def _group_of(
-    stated: _Circumstances,
+    overrides: _CaseOverrides,
     numbers: Sequence[int],
     common: SensorGroup | None,
     match: Match,
     sensor: str | None,
     variant: str | None,
 ) -> SensorGroup:
-    """Return a group of sensors that are stated, as if there were no others.
+    """Return a group of sensors under one condition, as if there were no other sensors.
 
-    numbers : of the sensors
-    common : another condition, whose dots and chart this one takes where it leaves them open, so
-        that both can be averaged
+    numbers : which of the sensors
+    common : the group of another condition, whose dots and chart this one takes where it leaves
+        them open, so that both can be averaged
     match : of their cameras
     sensor, variant : of the scene
     """
-    chosen = [stated.sensors[number] for number in numbers]
-    settings = chosen[0].settings
-    _check_display_and_scene(settings.display, stated.scene)
+    sensors = [overrides.sensors[number] for number in numbers]
+    settings = sensors[0].settings
+    _check_display_and_scene(settings.display, overrides.scene)
     scene = loaded_scene(
-        stated.scene,
+        overrides.scene,
         settings.scene,
         settings.resolution,
         settings.display,
         variant=variant,
         sensor=sensor,
     )
-    resolved = _with_matched_cameras(scene, chosen, match)
+    resolved = _with_matched_cameras(scene, sensors, match)
     first_camera = resolved[0].camera
 
     # The sensor with the most pixels decides on dots and chart.
@@ -548,7 +552,7 @@ def _group_of(
     border = max(_border_share(case, settings) for case in resolved)
     complete = _with_common_settings(resolved, settings, scene)
     further = further_displays(
-        chosen[0].settings.display,
+        sensors[0].settings.display,
         settings.display,
         first_camera.die_um,
         complete[0].settings.pixel.pitch_um,
@@ -556,9 +560,9 @@ def _group_of(
     )
     group = SensorGroup(
         cases=tuple(replace(case, further_displays=further) for case in complete),
-        weight=stated.weight,
+        weight=overrides.weight,
         match=match,
-        scene=stated.scene,
+        scene=overrides.scene,
         finest=finest.sensor,
         border=border,
         view=view,
@@ -654,14 +658,14 @@ def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
         for sensor in sensors
         if sensor.settings.camera.die_mm is not None
     ]
-    cameras = []
+    resolved = []
     for sensor in sensors:
         options = sensor.settings.camera
         if options.die_mm is None and dies:
             options = CameraOptions(**dies[0] | options.model_dump(exclude_none=True))
         with named(sensor.sensor):
-            cameras.append(scene.camera(options, sensor.settings.lens))
-    return cameras
+            resolved.append(scene.camera(options, sensor.settings.lens))
+    return resolved
 
 
 def _on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
@@ -724,14 +728,14 @@ class ComparisonJob(Job[Run]):
     def condition_groups(
         self, combination: int = 0, other: str = "", match: Match | None = None
     ) -> list[SensorGroup]:
-        """Return the groups of all sensors under each condition; or of the first and another one.
+        """Return the group of each condition: of all sensors, or of the first one and another.
 
-        combination : number of the values of axes
-        other : name of the other one; empty for all sensors
-        match : None means the one that was asked for
+        combination : number of the combination of axes
+        other : name of the other sensor; empty for all sensors
+        match : of the cameras. None means the match that was asked for
         """
-        at = self.combinations[combination]
-        place = at.at, at.one_at_a_time, match or self.match
+        first_case = self.combinations[combination]
+        place = first_case.at, first_case.one_at_a_time, match or self.match
         names = self.names if not other else (self.names[0], other)
         return [
             group
@@ -777,7 +781,7 @@ def prepare(
         axes and conditions, in place of the tables of the study
     uncertainty, sobol : sensor types to draw, or points of total indices
     quick : take the overrides NAME.quick.toml of the study, and fewer pairs
-    smaller_than_um : a question to a study, which is refused
+    smaller_than_um : of a study; a comparison refuses it
 
     Raises PixsimError for invalid input.
     """
@@ -790,7 +794,7 @@ def prepare(
 
     shared = _shared_settings(scene, study, config, options or {}, smaller_than_um, quick)
     base = _read_sensors(sources, shared)
-    combined = _circumstances_of_sensors(sources, shared)
+    combined = _overrides_with_sensors(sources, shared)
 
     chosen_match = match or "view"
     all_numbers = range(len(sources))
@@ -879,7 +883,7 @@ def _shared_settings(
     if study is None and plan is not None and not plan.has_cases and plan.detail is None:
         plan = None  # nothing of it holds for a comparison
 
-    unused = tuple(unused_settings(study_layers, STUDY_ALONE))
+    unused = tuple(unused_settings(study_layers, IGNORED_ELSEWHERE))
     return _SharedSettings(plan, lens, tuple(layers), option_layer.table, file, source, unused)
 
 
@@ -895,28 +899,29 @@ def _lens_layer(study: Layer) -> Layer:
 
 
 def _groups_of(
-    combined: Sequence[Sequence[_Circumstances]],
+    combined: Sequence[Sequence[_CaseOverrides]],
     numbers: Sequence[int],
     match: Match,
     sensor: str | None,
     variant: str | None,
 ) -> list[SensorGroup]:
-    """Return a group of sensors in each circumstance, as if there were no others.
+    """Return a group of sensors for each combination of axes and condition, as if there were no
+    other sensors.
 
     At one combination of axes, the first condition of weight above 0 decides on dots and chart.
 
-    combined : circumstances at each combination of axes, under each condition
+    combined : of `_overrides_with_sensors`
     numbers, match, sensor, variant : of `_group_of`
     """
     groups: list[SensorGroup] = []
     for conditions in combined:
-        first = next(number for number, stated in enumerate(conditions) if stated.weight)
+        first = next(number for number, overrides in enumerate(conditions) if overrides.weight)
         by_condition: dict[int, SensorGroup] = {}
         for number in dict.fromkeys((first, *range(len(conditions)))):
-            stated = conditions[number]
+            overrides = conditions[number]
             common = by_condition.get(first)
-            with named(stated.words):
-                by_condition[number] = _group_of(stated, numbers, common, match, sensor, variant)
+            with named(overrides.words):
+                by_condition[number] = _group_of(overrides, numbers, common, match, sensor, variant)
         groups += [by_condition[number] for number in range(len(conditions))]
     return groups
 
@@ -935,10 +940,10 @@ def _labelled(groups: Sequence[SensorGroup], repeats: int) -> Iterator[SensorGro
     for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
         labels = {name: table[name] for name in varied_names}
         cases = [replace(case, labels=labels, group=number) for case in group.cases]
-        yield replace(group, cases=tuple(_complete(case, group, repeats) for case in cases))
+        yield replace(group, cases=tuple(_complete_case(case, group, repeats) for case in cases))
 
 
-def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
+def _complete_case(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
     """Return a sensor that shows and scores the same part of the scene as the others.
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
@@ -994,8 +999,10 @@ def matched_cameras(
 
 
 def _with_view_of(reference: Camera, camera: Camera) -> Camera:
-    """Return a camera with the die of `camera` and the field of view of `reference`: 1/f = 1/u +
-    1/v, with v as the width.
+    """Return a camera with the die of `camera` and the field of view of `reference`.
+
+    The image distance v goes with the width of the die; the focal length f follows from 1/f = 1/u +
+    1/v.
     """
     if reference.lens is not None:
         return lens_on_die(reference, camera, same_view=True)

@@ -86,7 +86,8 @@ NOT_SETTINGS = {
 
 def setting_path(dotted: str) -> tuple[str, ...]:
     """Return the parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three.
-    ValueError if the text is no such setting.
+
+    Raises ValueError if the text is no such setting.
     """
     node: Any = None
     if "\n" not in dotted and "=" not in dotted:
@@ -94,6 +95,7 @@ def setting_path(dotted: str) -> tuple[str, ...]:
             node = tomllib.loads(f"{dotted} = 0")
         except tomllib.TOMLDecodeError:
             node = None
+
     path: list[str] = []
     while isinstance(node, dict):
         ((part, node),) = node.items()
@@ -104,8 +106,9 @@ def setting_path(dotted: str) -> tuple[str, ...]:
 
 
 def _setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
-    """Return nested tables that set one value. The technology of the pixel is a study's only
-    technology.
+    """Return nested tables that set one value.
+
+    pixel.technology sets the only technology of the study.
     """
     if tuple(path) == ("pixel", "technology"):
         return {"technologies": [value]}
@@ -113,7 +116,9 @@ def _setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
 
 
 def _with_technology(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of an axis' value, with the technology as `_setting_table` has it."""
+    """Return the settings of a value of an axis, with pixel.technology as the only technology of
+    the study.
+    """
     pixel = table.get("pixel")
     if not isinstance(pixel, dict) or "technology" not in pixel:
         return table
@@ -135,8 +140,11 @@ def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[
             yield (*above, name)
 
 
-def _settings(table: object) -> dict[str, Any]:
-    """Check which settings of a study an axis or a condition may change. ValueError for others."""
+def _checked_settings(table: object) -> dict[str, Any]:
+    """Return the settings that an axis or a condition changes.
+
+    Raises ValueError for settings that it may not change.
+    """
     if not isinstance(table, dict) or not table:
         raise ValueError(
             "got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8"
@@ -160,11 +168,13 @@ def _settings(table: object) -> dict[str, Any]:
     return table
 
 
-def _condition_settings(table: object) -> object:
-    """Check the settings that a condition changes: any setting that an axis may vary, but the
-    technology. Raise ValueError for others.
+def _checked_condition_settings(table: object) -> object:
+    """Return the settings that a condition changes: any that an axis may vary, except the
+    technology.
+
+    Raises ValueError for other settings.
     """
-    pixel = _settings(table).get("pixel")
+    pixel = _checked_settings(table).get("pixel")
     if isinstance(pixel, dict) and "technology" in pixel:
         raise ValueError(
             "pixel.technology cannot be changed by a condition; name technologies in the study, or"
@@ -174,7 +184,7 @@ def _condition_settings(table: object) -> object:
 
 
 def _check_unique_names(kind: str, names: Sequence[str]) -> None:
-    """Raise ValueError for a name that stands twice."""
+    """Raise ValueError for a name that occurs twice."""
     for number, name in enumerate(names):
         if name in names[:number]:
             raise ValueError(f"{kind}: '{name}' occurs twice; allowed: each name once")
@@ -184,8 +194,8 @@ def _as_paths(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
-def _is_path(dotted: str) -> str:
-    _settings(nested(setting_path(dotted), 0))
+def _checked_path(dotted: str) -> str:
+    _checked_settings(nested(setting_path(dotted), 0))
     return dotted
 
 
@@ -200,7 +210,7 @@ def is_case_name(value: str) -> bool:
     )
 
 
-def _case_name(value: str) -> str:
+def _checked_case_name(value: str) -> str:
     if fault := name_fault(value):
         raise ValueError(f"got a name that {fault}; allowed: another name")
     if not is_case_name(value):
@@ -210,10 +220,10 @@ def _case_name(value: str) -> str:
     return value
 
 
-Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
-_ConditionSettings = Annotated[dict[str, Any], AfterValidator(_condition_settings)]
-_DottedSetting = Annotated[str, AfterValidator(_is_path)]
-_CaseName = Annotated[str, Field(max_length=_MAX_CASE_NAME), AfterValidator(_case_name)]
+Settings = Annotated[dict[str, Any], AfterValidator(_checked_settings)]
+_ConditionSettings = Annotated[dict[str, Any], AfterValidator(_checked_condition_settings)]
+_DottedSetting = Annotated[str, AfterValidator(_checked_path)]
+_CaseName = Annotated[str, Field(max_length=_MAX_CASE_NAME), AfterValidator(_checked_case_name)]
 
 
 # Names that the files and folders of a study have, or may have.
@@ -228,8 +238,8 @@ def case_folder(words: str) -> str:
 
 
 def check_case_folders(words: Sequence[str]) -> None:
-    """Raise ValueError if two cases would have the same folder, also where capitals do not count,
-    or if a folder would have a file's name.
+    """Raise ValueError if two cases would have the same folder, ignoring capitals, or if a folder
+    would have the name of a file of pixsim.
     """
     taken: dict[str, str] = {}
     for case in words:
@@ -253,7 +263,7 @@ _SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
 )
 
 
-def _axis_number(value: object) -> object:
+def _checked_axis_number(value: object) -> object:
     if not isinstance(value, float | int | str) or value == "":
         raise ValueError(
             f"got {value_text(value)}; allowed: a number, a name, or a table of label and set"
@@ -278,10 +288,11 @@ class AxisValue(Record):
     )
 
 
-# One branch for each kind, so that a message is about the kind that was meant.
-_OneOfAxis = Annotated[
+# One branch for tables and one for plain values, so that a message is about the kind that the user
+# stated.
+_AxisEntry = Annotated[
     Annotated[AxisValue, Tag(UNION_BRANCHES[0])]
-    | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(UNION_BRANCHES[1])],
+    | Annotated[NumberOrText, BeforeValidator(_checked_axis_number), Tag(UNION_BRANCHES[1])],
     Discriminator(_is_table),
 ]
 
@@ -318,7 +329,7 @@ class Axis(Record):
         Field(max_length=_MAX_JOINED_SETTINGS),
         BeforeValidator(_as_paths, json_schema_input_type=str | tuple[str, ...]),
     ] = Field((), description="dotted settings that take each value together")
-    values: Annotated[tuple[_OneOfAxis, ...], Field(max_length=_AXIS_COUNT)] | None = Field(
+    values: Annotated[tuple[_AxisEntry, ...], Field(max_length=_AXIS_COUNT)] | None = Field(
         None, description="numbers or names, or tables of label and set"
     )
     first: AnyNumber | None = Field(None, alias="from", description="first value")
@@ -465,10 +476,9 @@ class Condition(Record):
 # --- the record of a study
 # --------------------------------------------------------------------------------------------------
 
-_MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
-_PITCH_RATIO = (
-    4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
-)
+_MAX_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
+# Default ratio of the largest pitch to the data sheet's, and of that to the smallest.
+_PITCH_RATIO = 4.0
 
 
 class PitchRange(Record):
@@ -481,11 +491,11 @@ class PitchRange(Record):
         None, description="smallest pixel size, in place of min_fill_factor"
     )
     max_um: Pitch = Field(15.0, description="largest pixel size")
-    count: Annotated[int, Field(ge=5, le=_MOST_PITCHES)] = Field(
+    count: Annotated[int, Field(ge=5, le=_MAX_PITCHES)] = Field(
         24, description="number of pixel sizes"
     )
     values_um: (
-        Annotated[tuple[Pitch, ...], Field(max_length=_MOST_PITCHES), BeforeValidator(as_list)]
+        Annotated[tuple[Pitch, ...], Field(max_length=_MAX_PITCHES), BeforeValidator(as_list)]
         | None
     ) = Field(None, description="list of pixel sizes, in place of min, max and count")
     own_um: Pitch | None = Field(
@@ -506,10 +516,10 @@ _StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
 
 
 def _setter_of(path: tuple[str, ...], setters: Mapping[tuple[str, ...], str]) -> str:
-    """Return the name of what sets a setting, or another one that takes its place in [pixel]; empty
-    if nothing does.
+    """Return the name of the axis or condition that sets a setting, or one that excludes it in
+    [pixel]; empty if none does.
 
-    setters : setting -> name of what sets it
+    setters : setting -> name of the axis or condition that sets it
     """
     if path in setters:
         return setters[path]
@@ -611,7 +621,7 @@ class Study(Setting):
     @model_validator(mode="before")
     @classmethod
     def _complete_data_sheet_needs_no_technology(cls, values: object) -> object:
-        """The rule of `Pixel`, for a study with a data sheet in [pixel]."""
+        """Apply the rule of `Pixel` to a study with a complete data sheet in [pixel]."""
         if not isinstance(values, dict) or "technologies" in values:
             return values
         pixel = values.get("pixel")
@@ -689,7 +699,10 @@ class Study(Setting):
 
     @model_validator(mode="after")
     def _data_sheets_are_scaled(self) -> Self:
-        """A full well that does not scale with the area would favour small pixels."""
+        """Refuse a data sheet without its pitch.
+
+        A full well that does not scale with the area would favour small pixels.
+        """
         if NO_TECHNOLOGY not in self.technologies:
             return self
         if len(self.technologies) > 1:
@@ -718,7 +731,7 @@ class Study(Setting):
 
     @property
     def stream_name(self) -> str:
-        """Name on which its random streams depend."""
+        """Name on which the random streams of the study depend."""
         return self.streams or self.name
 
     @property
@@ -743,7 +756,7 @@ class Study(Setting):
 
     @property
     def stated(self) -> dict[str, Any]:
-        """What is set, as TOML has it, without axes and conditions."""
+        """The settings that the user stated, as in TOML, without axes and conditions."""
         return self.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition"})
 
     @property
@@ -769,13 +782,13 @@ class Study(Setting):
         )
 
     def options_of(self, technology: str) -> PixelOptions:
-        """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
+        """Return the pixel of a technology without its pitch: that of a data sheet, or [pixel]."""
         return self.sensors.get(technology, self.pixel)
 
 
 def owner_of(study: Study, path: tuple[str, ...]) -> str:
-    """Return what sets a study's setting in every case, so that its stated value is not used: an
-    axis, or all conditions; empty if nothing does.
+    """Return what overrides a setting of a study in every case, so that its stated value is not
+    used: an axis, or all conditions. Empty if nothing does.
 
     path : of the setting
     """
@@ -798,7 +811,7 @@ def owner_of(study: Study, path: tuple[str, ...]) -> str:
 # --------------------------------------------------------------------------------------------------
 
 _SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
-# Fields of a range of pitches, and those of an earlier layer that they replace.
+# Fields of a range of pitches, each with the later fields that replace it.
 _REPLACED_RANGE = {
     "values_um": ("min_um", "max_um", "count", "min_fill_factor"),
     "min_um": ("min_fill_factor",),
@@ -809,7 +822,7 @@ _REPLACED_RANGE = {
 _STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
 
 
-# Questions to a study to which another command has no answer, and what asks them.
+# Settings of a study that some other commands refuse, each with the command that supports it.
 SUPPORTED_BY = {
     "smaller_than_um": "a study, whose answer is a pixel size",
     "paper": "a study with the scene of Chen et al. (2000) and their pixel sizes",
@@ -820,42 +833,42 @@ SUPPORTED_BY = {
     "without": "sweep(light, pixels, without=…); the sensors of a comparison see a scene",
     "noise_budget": "run, study or compare, whose results have a page",
 }
-# Settings of a study that decide nothing on sensors of other commands, which have their own
+# Settings of a study without effect on the sensors of other commands, which have their own
 # technologies and pixel sizes.
-STUDY_ALONE = (
-    *(
-        "name",
-        "streams",
-        "title",
-        "sources",
-        "technologies",
-        "sensors",
-        "process",
-        "pitch",
-        "repeats",
-        "refine",
-        "target_ci_um",
-    ),
-    *("max_repeats", "max_evaluations", "iso_delta_e", "paper"),
+IGNORED_ELSEWHERE = (
+    "name",
+    "streams",
+    "title",
+    "sources",
+    "technologies",
+    "sensors",
+    "process",
+    "pitch",
+    "repeats",
+    "refine",
+    "target_ci_um",
+    "max_repeats",
+    "max_evaluations",
+    "iso_delta_e",
+    "paper",
 )
-_WORDS_OF_FILES = ("name", "title", "sources")  # which nobody states for another command
+_DESCRIPTIONS = ("name", "title", "sources")  # of a study's file, not meant for another command
 
 
 def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list[str]:
-    """Return the dotted names of settings that a command does not take, without what a file says of
-    itself.
+    """Return the dotted names of stated settings that a command ignores.
+
+    The name, title and sources of a file are not among them.
 
     layers : of files and options
-    not_taken : fields of a study
+    not_taken : fields of a study that the command ignores
     """
     names: list[str] = []
     for layer in layers:
-        words = _WORDS_OF_FILES if layer.source else ()
-        names += [
-            ".".join(path)
-            for path in paths_of(layer.table)
-            if path[0] in not_taken and path[0] not in words
-        ]
+        descriptions = _DESCRIPTIONS if layer.source else ()
+        for path in paths_of(layer.table):
+            if path[0] in not_taken and path[0] not in descriptions:
+                names.append(".".join(path))
     return names
 
 
@@ -868,8 +881,9 @@ def check_supported(command: str, **settings: object) -> None:
 
 
 def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
-    """Return the tables of a layer that a run has too, with the scene's parameters alone, and the
-    tables that only a study has.
+    """Split a layer into the tables that a run has, too, and the tables that only a study has.
+
+    The scene of a run has parameters alone; the file of the scene belongs to the study.
     """
     study_table: dict[str, Any] = {}
     run_table: dict[str, Any] = {}
@@ -882,21 +896,21 @@ def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
         if "file" in scene:
             study_table["scene"] = {"file": scene["file"]}
         run_table["scene"] = scene.get("parameters", {})
-    return Layer(run_table, layer.source, layer.named), Layer(
-        study_table, layer.source, layer.named
-    )
+    run_layer = Layer(run_table, layer.source, layer.named)
+    study_layer = Layer(study_table, layer.source, layer.named)
+    return run_layer, study_layer
 
 
 def has_study_settings(table: dict[str, Any]) -> bool:
-    """Whether a table sets what only a study has, so that it is not a sensor's."""
+    """Return whether a table is that of a study: it has settings that a sensor's file has not."""
     return bool(table.keys() & _STUDY_ONLY)
 
 
 def study_layers(
     studies: Sequence[Layer], files: Sequence[Layer], options: dict[str, Any] | None = None
 ) -> list[Layer]:
-    """Layers of a study: its own table and overrides, then files of settings of a study or of a
-    sensor, then the options.
+    """Return the layers of a study: its table and overrides, then files of settings of a study or
+    of a sensor, then the options.
 
     A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the
     study, whose sizes go from a quarter to four times its own unless a range is set. A technology
@@ -986,7 +1000,7 @@ def _settings_of_sensor(
 
 
 def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """Return a study's table without what later layers make void."""
+    """Return a study's table without the settings that later layers make void."""
     table = _with_technologies(table, overriding)
     table = _with_range(table, overriding)
     table = _with_light(table, overriding)
@@ -1004,14 +1018,14 @@ def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str
 
 
 def _scene(table: dict[str, Any]) -> dict[str, Any]:
-    """The table `scene` of a study; an empty one if it is none."""
+    """Return the table `scene` of a study; an empty one if it is missing, or no table."""
     scene = table.get("scene")
     return scene if isinstance(scene, dict) else {}
 
 
 def _with_technologies(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
-    """Return a study's table without the numbers and the data sheets of technologies that
-    overriding ones leave out.
+    """Return a study's table without the numbers and the data sheets of technologies that an
+    overriding list leaves out.
     """
     names = overriding.get("technologies")
     if not isinstance(names, list):
@@ -1025,7 +1039,7 @@ def _with_technologies(table: dict[str, Any], overriding: dict[str, Any]) -> dic
 
 
 def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
-    """A study's table without the parameters of its scene."""
+    """Return a study's table without the parameters of its scene."""
     scene = table.get("scene")
     if not isinstance(scene, dict):
         return table
@@ -1064,8 +1078,8 @@ def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
 
 
 def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
-    """Layers of a study with the data sheets among its technologies: TOML files with a table
-    [pixel], each a sensor of its own.
+    """Return the layers of a study with the data sheets among its technologies: TOML files with a
+    table [pixel], each of another sensor.
 
     A sheet that the study's [sensors] has already, as in settings.toml, is not read again. Options
     of the pixel replace values of each sheet, and the study's [pixel] has what a sheet leaves open.
@@ -1113,8 +1127,8 @@ def _is_settings(name: str) -> bool:
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
-    """Return settings without what a study has in other fields: pitch, technology, and the pixels
-    that make the die.
+    """Return settings without those that a study has in other fields: the pixel's pitch and
+    technology, and the camera's pixels.
     """
     settings = dict(table)
     for name, removed in (("pixel", _SET_BY_STUDY), ("camera", ("pixels",))):
@@ -1125,7 +1139,7 @@ def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a study's table of a sensor's: as `_without_sensor_only`, and with [scene] as
+    """Return the table of a sensor's file as a table of a study, with [scene] as
     scene.parameters.
     """
     scene = table.get("scene")
@@ -1179,25 +1193,21 @@ def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
                 "Give all of its values in one --axis.",
             )
         names.add(name)
-        table = _values_of(text, values)
+        table = _axis_values(text, values)
         if name in by_name:
-            table = _of_labels(text, table, by_name[name].get("values"))
+            table = _labelled_values(text, table, by_name[name].get("values"))
             for old in ("values", "from", "to", "count", "spacing"):
                 by_name[name].pop(old, None)
             by_name[name].update(table)
         else:
-            axes.append(
-                {
-                    "name": " and ".join(name.split("+")),
-                    "set": [part.strip() for part in name.split("+")],
-                }
-                | table
-            )
+            settings = name.split("+")
+            axis = {"name": " and ".join(settings), "set": [part.strip() for part in settings]}
+            axes.append(axis | table)
     return axes
 
 
-def _values_of(text: str, values: str) -> dict[str, Any]:
-    """Table of the values in the text of an --axis."""
+def _axis_values(text: str, values: str) -> dict[str, Any]:
+    """Return the table that the values in the text of an --axis make."""
     ends = values.split(":")
     if len(ends) in (3, 4) and "," not in values:
         try:
@@ -1225,33 +1235,34 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
     return {"values": [_value(part) for part in parts]}
 
 
-def _of_labels(text: str, table: dict[str, Any], values: object) -> dict[str, Any]:
-    """The values of an axis of a file that the text of an --axis names by their labels, if they
-    have some.
+def _labelled_values(text: str, table: dict[str, Any], values: object) -> dict[str, Any]:
+    """Return the table of an --axis whose values are labels of an axis of a file.
+
+    If the values of that axis have no labels, `table` is returned.
+
+    text, table : of the --axis, and of `_axis_values`
+    values : of the axis in the file
     """
-    tables = (
-        [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
-    )
-    if not tables:
+    if not isinstance(values, list):
         return table
-    by_label = {str(value.get("label")): value for value in tables}
-    names = [str(name) for name in table.get("values", ["a range"])]
-    if unknown := [name for name in names if name not in by_label]:
-        hint = did_you_mean(unknown[0], by_label)
-        raise invalid(
-            "--axis",
-            f"{unknown[0]} in '{text}'",
-            f"labels of its values: {', '.join(by_label)}",
-            hint,
-        )
-    return {"values": [by_label[name] for name in names]}
+    by_label = {str(value.get("label")): value for value in values if isinstance(value, dict)}
+    if not by_label:
+        return table
+
+    labels = [str(label) for label in table.get("values", ["a range"])]
+    for label in labels:
+        if label not in by_label:
+            allowed = f"labels of its values: {', '.join(by_label)}"
+            hint = did_you_mean(label, by_label)
+            raise invalid("--axis", f"{label} in '{text}'", allowed, hint)
+    return {"values": [by_label[label] for label in labels]}
 
 
 def _value(text: str) -> float | int | str:
-    """Return a number, if the text is one."""
-    for kind in (int, float):
+    """Return the number that a text states, or the text if it is no number."""
+    for number_type in (int, float):
         try:
-            return kind(text)
+            return number_type(text)
         except ValueError:
-            pass  # not a number of this kind
+            continue
     return text

@@ -1,5 +1,6 @@
-"""Run a study: mean ΔE for many pixel sizes, technologies and sensors; resumable, and independent
-of the number of workers.
+"""Run a study: mean ΔE for many pixel sizes, technologies and sensors.
+
+An interrupted study can be resumed; its results do not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -176,8 +177,11 @@ def _on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[Disp
     return tuple(optima)
 
 
-def _on_their_films(case_lights: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
-    """Return cases whose settings state the film of their light; a group shares its settings."""
+def _with_films(case_lights: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
+    """Return cases whose settings state the width of the film of their light.
+
+    The cases of a group share their settings.
+    """
     settings: dict[object, Study] = {}
     for case, light in case_lights:
         if case.group not in settings:
@@ -415,7 +419,7 @@ def _types_by_metric(
         case for number, base in enumerate(bases) for case in _cases_of_types(number, base, sample)
     ]
     base_lights = [replace(base.light, film=None, noise=None) for base in bases]
-    rendered_sensors = rendered_cases(cases, [base_lights[_base_of(case)] for case in cases])
+    rendered_sensors = rendered_cases(cases, [base_lights[_base_number(case)] for case in cases])
     curves: dict[int, Curve] = {}
 
     def fit(number: int, table: Table) -> None:
@@ -448,8 +452,8 @@ def _types_by_metric(
     return results
 
 
-def _base_of(case: Case[Study]) -> int:
-    """Return the number of the case of the study that a sensor type belongs to."""
+def _base_number(case: Case[Study]) -> int:
+    """Return the number of the case of the study to which a sensor type belongs."""
     number = case.labels["case"]
     assert isinstance(number, int)
     return number
@@ -472,7 +476,7 @@ def _cases_of_types(number: int, base: StudyResult, sample: Sample) -> Iterator[
     ]
 
     sizes = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
-    judged = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
+    judged_study = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
     for draw, drawn_study in enumerate(types):
         labels: dict[str, Label] = {"case": number, "draw": draw}
         combination = Case(
@@ -485,9 +489,9 @@ def _cases_of_types(number: int, base: StudyResult, sample: Sample) -> Iterator[
         for case in cases_of_sensors(combination):
             assert case.imaging is not None
             imaging = case.imaging.changed(
-                display=judged.display,
-                in_float32=allows_float32(judged.tolerance_delta_e),
-                metrics=metrics_of(judged, FEW_SENSORS),
+                display=judged_study.display,
+                in_float32=allows_float32(judged_study.tolerance_delta_e),
+                metrics=metrics_of(judged_study, FEW_SENSORS),
             )
             yield replace(case, imaging=imaging, sizes=sizes[case.sensor], caches_frames=False)
 
@@ -640,7 +644,7 @@ def study(
     if isinstance(plan, Study) and (names := [name for name, value in options.items() if value]):
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
-    with collected_notes():  # also of what is found before the study begins
+    with collected_notes():  # also those of the preparation
         spreads: Uncertainty = {}
         if isinstance(plan, Study):
             chosen = plan
@@ -709,7 +713,7 @@ def run_prepared(
             raise PixsimError(reasons[0])
 
         evaluated, counts, table = _evaluate_cases(
-            _on_their_films(case_lights),
+            _with_films(case_lights),
             [light for _, light in case_lights],
             job.view,
             folder / "results.csv",

@@ -1,5 +1,5 @@
-"""Many sensors in one light: the frames of `pixsim.evaluate`, computed as the evaluations of a
-study are.
+"""Evaluate many sensors in one light: the frames of `pixsim.evaluate`, computed by the workers of a
+study.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 from pixsim.base.bounds import Count, Jobs, Whole
@@ -50,9 +51,9 @@ from pixsim.studies.prepare import (
     with_given_light,
 )
 from pixsim.studies.result import causes_of_frames
-from pixsim.studies.sensors import circumstances
+from pixsim.studies.sensors import case_overrides
 from pixsim.studies.settings import (
-    STUDY_ALONE,
+    IGNORED_ELSEWHERE,
     Study,
     check_supported,
     parts_of_study,
@@ -74,10 +75,10 @@ from pixsim.viewer.without_effect import SOLVE_FOR, UserSettings, warn_of_settin
 PIXEL = "pixel"
 _DRAW = "draw"
 USUAL_REPEATS = 1
-# Settings of a render, which change nothing in light that is given.
+# Settings of a render, which have no effect on light that is given.
 _RENDER_SETTINGS = ("tolerance_e", "render_noise", "resolution", "max_seconds")
-# Settings of a study that change nothing in a sweep.
-NOT_TAKEN = (*STUDY_ALONE, "detail", "noise_budget", "quick", "resolution")
+# Settings of a study without effect in a sweep.
+NOT_TAKEN = (*IGNORED_ELSEWHERE, "detail", "noise_budget", "quick", "resolution")
 _SCENE_SETTINGS = ("window_mm", "tolerance_delta_e")
 # Arguments that may be tables.
 RECORDS = ("exposure", "display", "correction", "motion", "develop", "metric", "camera")
@@ -145,8 +146,8 @@ def sweep(
     out : folder whose results.csv keeps the numbers of each frame, so that an interrupted sweep
         goes on. None keeps nothing
     uncertainty : sensor types to draw of each pixel from the ranges of its technology; rounded up
-        to a power of two. The column `draw` tells them from the pixels as they are, `base`; further
-        columns have the numbers that were drawn
+        to a power of two. The column `draw` has their number, and `base` for the pixels as stated;
+        further columns have the drawn numbers
     sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor
         types
     axis, condition : tables of a study, whose values are columns: axis=[{"name": "light", "set":
@@ -154,7 +155,7 @@ def sweep(
         dots
     scene, parameters, variant, smaller_than_um : of `pixsim.study`, each in its unit; they have no
         meaning in light that is given, or in a sweep, and are refused
-    quick, settings : of `pixsim.study`; what decides nothing on a sweep is named in a warning
+    quick, settings : of `pixsim.study`; a warning names those without effect in a sweep
 
     Raises PixsimError as `evaluate` does, with the pixel's name or its place in the list, from 0.
 
@@ -178,12 +179,8 @@ def sweep(
     )
     check_given_light(scene=scene, parameters=parameters)
     records = (exposure, display, correction, motion, develop, metric, camera)
-    tables: dict[str, Any] = dict(zip(RECORDS, records, strict=True)) | {
-        "pixel": pixel,
-        "seed": seed,
-        "axis": list(axis),
-        "condition": list(condition),
-    }
+    tables: dict[str, Any] = dict(zip(RECORDS, records, strict=True))
+    tables |= {"pixel": pixel, "seed": seed, "axis": list(axis), "condition": list(condition)}
     tables |= settings
     stated = {name: value for name, value in tables.items() if value is not None and value != []}
     layers = [*config_layers(config), Layer(tables_of_python(stated, metrics))]
@@ -192,37 +189,59 @@ def sweep(
     light = light.identified
     background = None if without is None else without.identified
 
-    with collected_notes(), ExitStack() as stack:
+    with collected_notes():
         plan, sensor_layers = _sweep_plan(layers, variant)
         unused = unused_settings(layers, NOT_TAKEN) + ["quick"] * quick
         cases = _prepare_cases(
             light, pixels_by_name, camera, plan, sensor_layers, background, unused
         )
-        cases = [
-            replace(case, sizes={case.settings.pixel.pitch_um: repeats or USUAL_REPEATS})
-            for case in cases
-        ]
+        cases = _with_repeats(cases, repeats or USUAL_REPEATS)
         type_request = uncertainty_request(uncertainty, sobol, (), {})
         if type_request is not None:
             cases = _with_types(cases, type_request)
-        groups = {case.group for case in cases}
-        evaluations = sum(sum(case.sizes.values()) for case in cases)
-        check_number(len(groups), evaluations, agreed)
+        _check_evaluations(cases, agreed)
 
-        results = None
-        if out is not None:
-            results = stack.enter_context(output_folder(out)) / "results.csv"
-            check_replaceable_results(results)
-        workers: Workers | None = None
-        if jobs is not None or scheduler is not None:
-            workers = stack.enter_context(workers_for(jobs, scheduler))
-        rendered_sensors = rendered_cases(
-            cases, [Light(light, case.camera, background=case.background) for case in cases]
-        )
-        check_ideals(rendered_sensors)
-        stage = progress or no_stage
-        table = evaluate_points(rendered_sensors, results, workers, lambda: stage("evaluate"))
-        _warn_of_frames(rendered_sensors, table, light)
+        with ExitStack() as stack:
+            results = None
+            if out is not None:
+                results = stack.enter_context(output_folder(out)) / "results.csv"
+                check_replaceable_results(results)
+            workers: Workers | None = None
+            if jobs is not None or scheduler is not None:
+                workers = stack.enter_context(workers_for(jobs, scheduler))
+            return _evaluated(cases, light, results, workers, progress or no_stage)
+
+
+def _with_repeats(cases: Sequence[Case[Run]], repeats: int) -> list[Case[Run]]:
+    """Return cases with a number of sensors of each kind."""
+    return [replace(case, sizes={case.settings.pixel.pitch_um: repeats}) for case in cases]
+
+
+def _check_evaluations(cases: Sequence[Case[Run]], agreed: bool) -> None:
+    """Raise PixsimError for very many evaluations, unless the user has agreed."""
+    groups = {case.group for case in cases}
+    evaluations = sum(sum(case.sizes.values()) for case in cases)
+    check_number(len(groups), evaluations, agreed)
+
+
+def _evaluated(
+    cases: Sequence[Case[Run]],
+    light: SpectralImage,
+    results: Path | None,
+    workers: Workers | None,
+    stage: Stage,
+) -> Table:
+    """Evaluate prepared cases, and warn of frames without information and of clipped light.
+
+    results : file that keeps the rows. None keeps nothing
+    workers : None means local processes, if there is enough work for them
+    stage : returns a callback for a named stage
+    """
+    lights = [Light(light, case.camera, background=case.background) for case in cases]
+    sensors = rendered_cases(cases, lights)
+    check_ideals(sensors)
+    table = evaluate_points(sensors, results, workers, lambda: stage("evaluate"))
+    _warn_of_frames(sensors, table, light)
     return table
 
 
@@ -279,23 +298,25 @@ def _prepare_cases(
 
     camera : argument of `sweep`
     plan, sensor_layers : of `_sweep_plan`
-    unused : names of settings that change nothing in a sweep
+    unused : names of settings without effect in a sweep
 
     Raises PixsimError with the name of the pixel.
     """
     cases: list[Case[Run]] = []
     stated_settings: list[UserSettings] = []
     has_background = given_background is not None
-    for stated in chain.from_iterable(circumstances(plan)):
-        labels = {name: ", ".join(filter(None, (f"pixel {name}", stated.words))) for name in pixels}
-        overrides = [stated.layer] if stated.layer else []
+    for overrides in chain.from_iterable(case_overrides(plan)):
+        labels = {
+            name: ", ".join(filter(None, (f"pixel {name}", overrides.words))) for name in pixels
+        }
+        override_layers = [overrides.layer] if overrides.layer else []
         group: list[Case[Run]] = []
         for name, pixel in pixels.items():
             with named(labels[name]):
                 table = Layer({"pixel": pixel.model_dump(exclude_unset=True)})
-                run: Run = checked(Run, [table, *sensor_layers, *overrides])
+                run: Run = checked(Run, [table, *sensor_layers, *override_layers])
                 case = _prepared_case(run, light, camera)
-                group.append(stated.labelled(case, **{PIXEL: name}))
+                group.append(overrides.labelled(case, **{PIXEL: name}))
             stated_settings.append(
                 _user_settings(group[-1], light, unused, has_background=has_background)
             )
@@ -322,7 +343,7 @@ def _user_settings(
 ) -> UserSettings:
     """Return the settings of a sensor, of which some may have no effect.
 
-    unused : names of settings that change nothing in a sweep
+    unused : names of settings without effect in a sweep
     has_background : whether light without the target is given, so that a file of it does not count
     """
     run = case.settings
@@ -344,12 +365,10 @@ def _prepared_case(
     for it.
     """
     if not isinstance(camera, Camera):
-        whole = camera_of_light(light, run.camera, run.lens)
+        camera = camera_of_light(light, run.camera, run.lens)
     elif run.lens.model_fields_set:
-        whole = camera_with_lens(camera, run.camera, run.lens)
-    else:
-        whole = camera
-    imaging = Imaging.of(run, whole).changed(metrics=metrics_of(run), is_run=True)
+        camera = camera_with_lens(camera, run.camera, run.lens)
+    imaging = Imaging.of(run, camera).changed(metrics=metrics_of(run), is_run=True)
 
     # Raises an error if not one dot is left within the border.
     physics = imaging.physics
@@ -358,13 +377,13 @@ def _prepared_case(
         physics.read_pitch_um,
         imaging.display,
         imaging.scored_border_um,
-        array_size_um(light, whole),
+        array_size_um(light, camera),
         physics.registration,
     )
     return Case(
         run,
         sensor=imaging.technology.name,
-        resolved=(light, whole),
+        resolved=(light, camera),
         imaging=imaging,
         stream=("evaluate", run.seed),
         stream_has_pitch=False,
@@ -373,7 +392,7 @@ def _prepared_case(
 
 
 def _imaging_of_case(case: Case[Run]) -> Imaging:
-    """Return what lies between the light and the score of a case that is prepared."""
+    """Return the imaging of a case, which is prepared."""
     assert case.imaging is not None
     return case.imaging
 
@@ -381,7 +400,9 @@ def _imaging_of_case(case: Case[Run]) -> Imaging:
 def _with_one_screen(
     cases: Sequence[Case[Run]], light: SpectralImage, group: int
 ) -> Iterator[Case[Run]]:
-    """Yield cases that are scored on the dots that the largest pixels leave, with one white."""
+    """Yield cases with one white, scored on the same dots: without the border of the largest
+    pixels.
+    """
     border_um = max(_imaging_of_case(case).scored_border_um for case in cases)
     imagings = [_imaging_of_case(case).changed(border_um=border_um) for case in cases]
     white = white_header([(imaging, light) for imaging in imagings])
@@ -392,9 +413,9 @@ def _with_one_screen(
 
 
 def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) -> list[Case[Run]]:
-    """Return cases and their sensor types, with labels of the draw and its numbers.
+    """Return cases and their sensor types, labelled with the draw and the drawn numbers.
 
-    Raises PixsimError if nothing is unknown.
+    Raises PixsimError if no number is unknown.
     """
     first = [
         replace(case, sensor=str(case.labels[PIXEL]))
@@ -403,8 +424,8 @@ def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) ->
     ]
     types = SensorTypes.of(type_request, first)
     unknowns = [unknown for members in types.sample.inputs.values() for unknown in members]
-    as_is = {_DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
-    typed = [replace(case, labels=case.labels | as_is) for case in cases]
+    base_labels = {_DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
+    typed = [replace(case, labels=case.labels | base_labels) for case in cases]
     for number, case in enumerate(cases):
         imagings = types.imagings(str(case.labels[PIXEL]), _imaging_of_case(case))
         for draw, imaging in enumerate(imagings):
@@ -414,14 +435,14 @@ def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) ->
 
 
 def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: SpectralImage) -> None:
-    """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the
+    """Warn of metrics without a number, of frames without information, and of light that the
     display clips.
     """
     facts_by_light: dict[object, IdealFacts] = {}
     for sensor, rows in zip(cases, table.by_case(), strict=True):
-        words = ", ".join(filter(None, (f"pixel {sensor.case.labels[PIXEL]}", sensor.case.words)))
+        label = ", ".join(filter(None, (f"pixel {sensor.case.labels[PIXEL]}", sensor.case.words)))
         for reason in dict.fromkeys(rows.reasons.values()):
-            warn(Note("undefined_metric", words=reason).of([words]))
+            warn(Note("undefined_metric", words=reason).of([label]))
         if not len(rows.possible):
             continue
 
@@ -431,6 +452,6 @@ def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: Spectral
         lightness = facts_by_light[sensor.light_id].lightness
         for cause in causes_of_frames(light, sensor.imaging, lightness, rows.possible):
             if cause.is_uninformative:
-                warn(cause.note.of([words]))
+                warn(cause.note.of([label]))
     brightest = max((facts.beyond_white for facts in facts_by_light.values()), default=0.0)
     warn_of_clipping(brightest, light.header, cases[0].imaging.display)

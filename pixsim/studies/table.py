@@ -1,5 +1,4 @@
-"""The result of evaluations: a table of typed columns with the labels of each case, and its file,
-results.csv.
+"""Tables of evaluations: typed columns with the labels of each case, and their file, results.csv.
 
 A table has a row for each evaluation. Rows are appended to results.csv as they finish, so that
 interrupted work continues from them.
@@ -83,10 +82,9 @@ class Table(Sequence[dict[str, Any]], Result):
 
     @property
     def reasons(self) -> dict[int, str]:
-        """Why a row lacks its numbers, or some of them, by its place."""
-        return {row: "; ".join(reasons.values()) for row, reasons in self.undefined.items()} | dict(
-            self.impossible
-        )
+        """Row -> the reason why all or some of its numbers are missing."""
+        reasons = {row: "; ".join(words.values()) for row, words in self.undefined.items()}
+        return reasons | dict(self.impossible)
 
     @property
     def printed_columns(self) -> tuple[str, ...]:
@@ -238,16 +236,16 @@ class Store:
         if self.path is not None and rows:
             self._append(self.path, rows)
         for row in rows:
-            self._keep(row[0], row[-len(self.numbers) :])
+            self._store_numbers(row[0], row[-len(self.numbers) :])
 
-    def _keep(self, key: str, numbers: Sequence[float]) -> None:
+    def _store_numbers(self, key: str, numbers: Sequence[float]) -> None:
         self._places[key] = len(self._values) // len(self.numbers)
         self._values.extend(numbers)
 
     def resume(self, is_expected: Callable[[Row], bool]) -> list[str]:
         """Take over the expected rows of the file, and return their keys.
 
-        If there are others, copy the file; leave only the expected rows.
+        Other rows are removed from the file, after it is copied.
 
         Warns of rows of another version of pixsim, and of rows that fail their check: they are
         computed again.
@@ -255,29 +253,29 @@ class Store:
         if self.path is None:
             return []
         has_others = False
-        for row in self._whole_rows(self.path):
+        for row in self._intact_rows(self.path):
             if is_expected(row):
-                self._keep(row["key"], [float(row[name]) for name in self.numbers])
+                self._store_numbers(row["key"], [float(row[name]) for name in self.numbers])
             else:
                 has_others = True
 
         has_content = self.path.is_file() and self.path.stat().st_size > len(self.text(())) + 1
         if has_content and (has_others or self.damaged or not self._places):
-            self._say_what_is_kept(self.path)
+            self._warn_of_discarded_rows(self.path)
         unlist_file(self.path)
         self.write(self._trusted_rows(self.path))
         return list(self._places)
 
     def _trusted_rows(self, path: Path) -> Iterator[list[str]]:
         """Yield the rows of the file that were taken over, each once."""
-        left = set(self._places)
-        for row in self._whole_rows(path):
-            if row["key"] in left:
-                left.remove(row["key"])
+        remaining = set(self._places)
+        for row in self._intact_rows(path):
+            if row["key"] in remaining:
+                remaining.remove(row["key"])
                 yield [row[name] for name in self.columns]
 
-    def _say_what_is_kept(self, path: Path) -> None:
-        """Copy the file, and warn of its rows that do not continue."""
+    def _warn_of_discarded_rows(self, path: Path) -> None:
+        """Copy the file, and warn of its rows that are not continued."""
         backup = self._back_up(path)
         if (
             not self._places
@@ -315,22 +313,22 @@ class Store:
             )
 
     def finish(self, keys: Collection[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Leave only these rows in the file, copied first if it holds others.
+        """Write only these rows to the file; if it holds others, it is copied first.
 
         keys : of the rows
         """
         if self.path is None:
             return
         stored_keys = frozenset(keys)
-        if any(row["key"] not in stored_keys for row in self._whole_rows(self.path)):
+        if any(row["key"] not in stored_keys for row in self._intact_rows(self.path)):
             self._back_up(self.path)
         self.write(rows)
 
     def read_keys(self) -> set[str]:
         """Return the keys of the complete rows of the file; an incomplete last line is ignored."""
-        return set() if self.path is None else {row["key"] for row in self._whole_rows(self.path)}
+        return set() if self.path is None else {row["key"] for row in self._intact_rows(self.path)}
 
-    def _whole_rows(self, path: Path) -> Iterator[Row]:
+    def _intact_rows(self, path: Path) -> Iterator[Row]:
         """Iterate over the rows that are as pixsim wrote them, one in memory at a time, and count
         those that were changed.
 
@@ -360,7 +358,7 @@ class Store:
     def _has_numbers(self, row: Row) -> bool:
         """Return whether a row has all of its numbers: it may be of other metrics.
 
-        A row that lacks one is computed again, since it does not tell the reason, which notes
+        A row without one of them is computed again: the file does not hold the reason, which notes
         state.
         """
         try:

@@ -63,7 +63,7 @@ class Share:
         }
 
 
-def _does_vary(values: Array) -> bool:
+def _varies(values: Array) -> bool:
     """Return whether results (n,) differ by more than rounding."""
     return bool(np.ptp(values) > NEGLIGIBLE * np.abs(values).max())
 
@@ -97,7 +97,7 @@ def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict
     """
     count = values.size
     freedom = count - 1 - DEGREE
-    if freedom < 1 or not _does_vary(values):
+    if freedom < 1 or not _varies(values):
         return {name: Share() for name in names}
 
     deviations = values - values.mean()
@@ -140,7 +140,7 @@ def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Sh
     Source: Saltelli et al. (2010), Table 2 (b) for first-order shares, with the points' mean
     removed, and Jansen (1999).
     """
-    if not _does_vary(values):
+    if not _varies(values):
         return {name: {"first": Share(), "total": Share()} for name in names}
     centred = (values - values.mean()).reshape(len(names) + 2, -1)
     a, b = centred[:2]
@@ -187,7 +187,7 @@ SCATTER = "scatter of the evaluations"
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number of a sensor that is not known exactly.
+    """A number of a sensor whose exact value is unknown.
 
     quantity : field of a technology or a pixel; the name ends in the unit
     value : as stated
@@ -348,15 +348,15 @@ def unknowns_of_sheet(
     uncertainty : its [pixel.uncertainty], as `pixsim.sensor.spread.sheet_uncertainty` returns it
     technology : name of the sheet in a study of several; empty for the study's own [pixel]
 
-    Raises PixsimError for a number that the pixel does not have, as where an option states it in
-    another word.
+    Raises PixsimError for a number that the pixel does not have, for instance because an option
+    states another one in its place.
     """
     unknowns = []
     for name, spread in uncertainty.items():
         value = getattr(pixel, name, None)
         key = f"pixel.uncertainty.{name}"
         if isinstance(value, bool) or not isinstance(value, int | float):
-            stated = [field for field in pixel.model_fields_set if _is_float(pixel, field)]
+            stated = [field for field in pixel.model_fields_set if _holds_float(pixel, field)]
             allowed = ", ".join(sorted(stated)) or "none"
             raise invalid(key, "no such number", allowed, did_you_mean(name, sorted(stated)))
         if not spread.holds({name: value}, name):
@@ -372,7 +372,7 @@ def unknowns_of_sheet(
     return unknowns
 
 
-def _is_float(record: Record, field: str) -> bool:
+def _holds_float(record: Record, field: str) -> bool:
     return isinstance(getattr(record, field), float)
 
 
@@ -672,7 +672,7 @@ class UncertaintyResult:
 
     @property
     def by(self) -> str:
-        """The metric in words after an optimum; empty for ΔE."""
+        """Words that name the metric after an optimum, as " by detectability"; empty for ΔE."""
         return "" if self.metric.is_delta_e else f" by {self.metric.words}"
 
     @property
@@ -827,8 +827,8 @@ def drawn_metrics(study: Study) -> tuple[Metric, ...]:
 
 
 def sample_of(sample: Sample, *technologies: str) -> Sample:
-    """Return the sensor types with the inputs of some technologies only: the others do not move
-    their results.
+    """Return the sensor types with the inputs of some technologies only, on which alone their
+    results depend.
     """
     columns = [
         column
@@ -844,7 +844,7 @@ def sample_of(sample: Sample, *technologies: str) -> Sample:
 
 @dataclass(frozen=True)
 class PairUncertainty:
-    """The difference of two sensors by a metric over sensor types.
+    """The difference between two sensors over sensor types, by a metric.
 
     names : of the two sensors, a and b
     drawn : the sensor types of all sensors

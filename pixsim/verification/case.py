@@ -1,4 +1,4 @@
-"""A row of the table of extreme cases, and what comes out when it is checked."""
+"""A row of the table of extreme cases, and its outcome."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 
 _Quantity = ArrayLike | Callable[..., ArrayLike]
-# as expected values: the last of the arguments of each call, which `call` does not get
+# In place of an expected value: each call's last argument, which `call` does not get, is expected.
 ANSWERS = None
 
 
@@ -22,9 +22,10 @@ class ExtremeCase:
     """The outcome of an extreme case.
 
     expected, got : of the element with the largest error
-    error : |got - expected| over the scale of the case, the largest of the case; NaN never passes
+    error : |got - expected| of that element over the scale of the case; NaN never passes
     allowed : limit of the error, with its reason in `source`
     source : of the expected value
+    warned : warnings of NumPy or Python, which make the case fail
     """
 
     room: str
@@ -34,7 +35,7 @@ class ExtremeCase:
     error: float
     allowed: float
     source: str
-    warned: str = ""  # warnings of NumPy or Python, which make the case fail
+    warned: str = ""
 
     @property
     def passed(self) -> bool:
@@ -48,7 +49,7 @@ class ExtremeCase:
 class KnownAnswer:
     """A row of the table: a kernel called with each of its inputs, and what it must return.
 
-    name : in the table
+    name : of the case
     call : returns a number or an array
     expected : a number, or a function of the arguments of `call`; it broadcasts to what `call`
         returns. None takes the last of the arguments, which `call` does not get

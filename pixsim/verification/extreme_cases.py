@@ -53,8 +53,7 @@ _FLOAT32_ROUNDING = 2e-7  # the irradiance is stored in float32
 BOLTZMANN_J_PER_K = 1.380649e-23
 ELECTRON_C = 1.602176634e-19
 
-# --- Lenses: f/0.5 to f/1e150, fields up to 80°, cut-off frequencies far outside the range of the
-# grid ---
+# --- lenses: f/0.5 to f/1e150, fields up to 80°, cut-off frequencies far outside the grid's range
 
 # f-number, tangent of the field angle, magnification, E/L by Foote (1915) in 400 digits.
 IRRADIANCES = (
@@ -81,14 +80,14 @@ _TRANSFORM_ROUNDING = 1e-14
 
 
 def blurred(picture: Array, f_number: float) -> Array:
-    """A picture of 1 µm samples in three wavelengths behind a lens."""
+    """Return a picture of 1 µm samples in three wavelengths behind a lens."""
     return diffract(
         picture, 1.0, np.array([360.0, 550.0, 830.0]), np.array([0.2, 0.5, 0.3]), f_number
     )
 
 
 def _contrast_of_wave(order: int, share: float) -> float:
-    """Contrast transfer of a grating at a share of the cut-off of a lens."""
+    """Return the contrast transfer of a grating at a share of the cut-off of a lens."""
     wave = np.cos(np.pi * order * (np.arange(32) + 0.5) / 32)
     f_number = share * 1e6 / (550.0 * order / 64e-3)
     return float(diffract(wave[None], 1.0, np.array([550.0]), np.ones(1), f_number)[0, 0] / wave[0])
@@ -158,8 +157,7 @@ def optics() -> list[Row]:
     ]
 
 
-# --- Spectra: lines of 1 nm at any wavelength, dark bands, and light outside the sensor's response
-# ---
+# --- spectra: lines of 1 nm, dark bands, and light outside the sensor's response
 
 # A line of 1 W m⁻², 1 nm wide: nm, W m⁻² within 360-830 nm, electrons of the 0.35 µm process per W
 # m⁻² and m², and lux. Integer and fractional wavelengths, borders of bands, ends of the response
@@ -183,12 +181,12 @@ _SUM_ROUNDING = 1e-13  # rounding of a running sum over up to 15 040 cells
 
 
 def line(centre_nm: float) -> Spectrum:
-    """A triangular line of 1 W m⁻² with full width 1 nm at half maximum."""
+    """Return a triangular line of 1 W m⁻² with full width 1 nm at half maximum."""
     return Spectrum(centre_nm + np.array([-1.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]))
 
 
 def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
-    """A uniform field of 8×8 samples with the lamp's spectrum, W m⁻² nm⁻¹."""
+    """Return a uniform field of 8×8 samples with the lamp's spectrum, W m⁻² nm⁻¹."""
     factors = (lamp.cell_means(bands.edges_nm), np.ones((1, 8, 8)))
     within = (bands.nodes_nm, bands.shares)
     return SpectralImage(
@@ -197,7 +195,7 @@ def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
 
 
 def _uniform_images(spectrum: Array) -> list[SpectralImage]:
-    """The same uniform field as a spectrum times a picture, and as full data."""
+    """Return the same uniform field as a spectrum times a picture, and as full data."""
     factored = SpectralImage(BANDS_NM, 10.0, 20.0, factors=(spectrum, np.ones((1, 8, 6))))
     return [
         factored,
@@ -315,7 +313,7 @@ def spectra() -> list[Row]:
     ]
 
 
-# --- Light from zero to far beyond saturation ---
+# --- light: from zero to far beyond saturation
 
 # Parameters of a pixel with photon shot noise alone
 _SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
@@ -357,10 +355,10 @@ def capture(
     offset_e: float = 0.0,
     **exposure: Any,
 ) -> Frame:
-    """A frame of photo-electrons per second.
+    """Return a frame of a rate of photo-electrons per second.
 
     options : of a pixel
-    exposure : 1 s if no other integration time is asked for
+    exposure : by default of 1 s
     """
     sensor = sample_sensor(Readout.of(physics_of(options)), shape, default_rng(0))
     if offset_e:
@@ -372,13 +370,13 @@ def capture(
 
 
 def _moment_errors(variance: ArrayLike, count: int, fourth_cumulant: ArrayLike = 0.0) -> Array:
-    """Standard errors of the mean and of the variance of `count` draws, (2, ...)."""
+    """Return the standard errors of the mean and of the variance of `count` draws, (2, ...)."""
     variance = np.asarray(variance, float)
     return np.sqrt(np.stack([variance, 2 * variance**2 + fourth_cumulant]) / count)
 
 
 def moments(values: NDArray[Any], mean: float) -> Array:
-    """Mean, and mean square distance from a mean."""
+    """Return the mean, and the mean square distance from a mean."""
     return np.array([values.mean(), np.mean((values - mean) ** 2)])
 
 
@@ -388,8 +386,8 @@ def _green_frame(
     options: dict[str, Any] = GREEN,
     **exposure: Any,
 ) -> Frame:
-    """A frame of a picture in one band at 555 nm, behind `CAMERA` without fall-off; 16×16 samples
-    and pixels of 5 µm.
+    """Return a frame of a picture in one band at 555 nm, behind `CAMERA` without fall-off; 16×16
+    samples and pixels of 5 µm.
     """
     spectrum = [
         [1 / 683.002 / 10.0 * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))]
@@ -401,7 +399,7 @@ def _green_frame(
 
 
 def _bright_and_dark(diffraction: bool) -> Array:
-    """Mean electrons of a picture whose halves have 1e12 and 1e2 cd/m²."""
+    """Return the mean electrons of a picture whose halves have 1e12 and 1e2 cd/m²."""
     return _green_frame(
         np.repeat([1e12, 1e2], 8), diffraction, GREEN | {"full_well_e": 1e15}
     ).mean_e
@@ -496,8 +494,7 @@ def light() -> list[Row]:
     ]
 
 
-# --- Sensors: pixels of 0.3 to 100 µm, 1 ns to 10 h, 1 to 24 bits, 77 to 400 K, gains of 0 to 60 dB
-# ---
+# --- sensors: pixels of 0.3 to 100 µm, 1 to 24 bits, 77 to 400 K, gains of 0 to 60 dB
 
 SENSOR = _SHOT_NOISE_ONLY | {"fill_factor": 0.5}
 # Pitch in µm, full well of a junction of the 0.35 µm process that covers half of the pixel.
@@ -523,20 +520,20 @@ WIDE_DN2 = 140.804028196446
 
 
 def saturated_fraction(options: dict[str, Any], wells: float) -> float:
-    """Of 100 000 pixels under uniform light of so many full wells."""
+    """Return the share of saturated pixels of 100 000, in uniform light of `wells` full wells."""
     return capture(wells * physics_of(options).full_well_e, options).saturated_fraction
 
 
 def _rounding_errors(bits: int) -> Array:
-    """Mean and mean square error, in codes, of 2^18 levels over a whole number of codes, so that
-    all are equally frequent.
+    """Return the mean and mean square error, in codes, of 2^18 levels over a whole number of codes,
+    so that all are equally frequent.
     """
     level = min(2**bits - 1, 2**16 - 1) * (np.arange(2**18) + 0.5) / 2**18
     return moments(quantise(level, bits) - level, 0.0)
 
 
 def _dark_gains(seed: int, dsnu: float) -> Array:
-    """Mean and variance of the dark-current map of a sensor."""
+    """Return the mean and variance of the dark-current map of a sensor."""
     physics = physics_of(SENSOR | {"dsnu": dsnu, "dark_current_e_per_s": 1.0})
     gain = sample_sensor(Readout.of(physics), FRAME, default_rng(seed)).dark_gain
     return moments(np.asarray(gain, float), 1.0)
@@ -722,36 +719,40 @@ def sensor() -> list[Row]:
     ]
 
 
-# --- Stacks from 1 nm to 10 mm high behind f/0.5 to f/10⁶ ---
+# --- stacks: 1 nm to 10 mm high, behind f/0.5 to f/10⁶
 
 SPOT_NM = np.array([300.0, 550.0, 1200.0])
 _PUPIL_ROUNDING = 1e-11  # rounding of boundaries, of a pupil
 
 
 def _disc_radius_um(f_number: float, height_um: float, index: float) -> float:
-    """Of the light under a paraxial microlens."""
+    """Return the radius of the disc of light under a paraxial microlens."""
     return height_um / (index * math.hypot(1.0, 2 * f_number))
 
 
 def _share_under_lens(side_um: float, f_number: float, height_um: float, index: float) -> float:
-    """Share of the light on a pixel of 6 µm that its photodiode collects."""
-    return float(
-        stack_collection(6.0, side_um, height_um, index, f_number=f_number, refraction="paraxial")[
-            1, 1
-        ]
+    """Return the share of the light on a pixel of 6 µm that its photodiode collects."""
+    shares = stack_collection(
+        6.0, side_um, height_um, index, f_number=f_number, refraction="paraxial"
     )
+    return float(shares[1, 1])
 
 
 def _all_shares(f_number: float, chief_ray_deg: float, microlens: bool, height_um: float) -> float:
-    """Share of the light on a pixel that it and its neighbours collect, with photodiodes as wide as
-    pixels.
+    """Return the share of the light on a pixel that it and its neighbours collect, with photodiodes
+    as wide as pixels.
     """
-    angles: dict[str, Any] = {"chief_ray_deg": chief_ray_deg, "azimuth_deg": 30.0}
-    return float(
-        stack_collection(
-            6.0, 6.0, height_um, 1.5, f_number=f_number, microlens=microlens, **angles
-        ).sum()
+    shares = stack_collection(
+        6.0,
+        6.0,
+        height_um,
+        1.5,
+        f_number=f_number,
+        microlens=microlens,
+        chief_ray_deg=chief_ray_deg,
+        azimuth_deg=30.0,
     )
+    return float(shares.sum())
 
 
 def stacks() -> list[Row]:
@@ -826,8 +827,7 @@ def stacks() -> list[Row]:
     ]
 
 
-# --- Integration over pixels of incommensurate pitch and grid, and of ratios that are integers
-# except for rounding ---
+# --- integration: ratios of pixel pitch and grid that are not integers, or but for rounding
 
 _ALMOST_INTEGER = 1e-12
 SIDE, LONG = 64, 20_000  # samples
@@ -846,24 +846,25 @@ def _centres_um(count: int, pitch_um: float, length_um: float) -> Array:
 
 
 def plane(shape: tuple[int, ...], size_um: tuple[int, int], pitch_um: float = 1.0) -> Array:
-    """A linear picture, per µm², at centres of pixels: its value at a point is its mean over any
-    rectangle centred there.
+    """Return a linear picture, per µm², at centres of pixels: its value at a point is its mean over
+    any rectangle centred there.
     """
     y, x = map(_centres_um, shape, (pitch_um, pitch_um), size_um)
     return 1 + (y[:, None] + 2 * x) / max(size_um)
 
 
 def _integrated_plane(size_um: tuple[int, int], pitch_um: float, side_um: float) -> Array:
-    """Means of a linear picture over photodiodes, over its values at their centres."""
+    """Return the means of a linear picture over photodiodes, relative to its values at their
+    centres.
+    """
     means = integrate_pixels(plane(size_um, size_um), 1.0, pitch_um, side_um) / side_um**2
     return means / plane(means.shape, size_um, pitch_um)
 
 
 def _wave_means(count: int, pitch_um: float, side_um: float) -> Array:
-    """Means of a grating with 2.5 periods in 64 µm over photodiodes, in closed form."""
-    return 1 + np.cos(np.pi * 5 * _centres_um(count, pitch_um, SIDE) / SIDE) * np.sinc(
-        5 * side_um / (2 * SIDE)
-    )
+    """Return the means of a grating with 2.5 periods in 64 µm over photodiodes, in closed form."""
+    wave = np.cos(np.pi * 5 * _centres_um(count, pitch_um, SIDE) / SIDE)
+    return 1 + wave * np.sinc(5 * side_um / (2 * SIDE))
 
 
 def integration() -> list[Row]:
@@ -941,8 +942,7 @@ def integration() -> list[Row]:
     ]
 
 
-# --- Viewing: 0.5 to 2000 samples per degree, light from zero to 1e12 times white, tiny pictures
-# ---
+# --- viewing: 0.5 to 2000 samples per degree, light from zero to 1e12 times white, tiny pictures
 
 _DENSITIES = (0.5, 1.0, 23.0, 111.0, 224.0, 500.0, 2000.0)  # samples per degree
 # Smaller than the widest Gaussian, 4.3°
@@ -975,7 +975,7 @@ _LAB_ROUNDING = 1e-10
 def _viewed_lab(
     relative: Array, samples_per_deg: float = 23.0, filters: Filters = "published"
 ) -> Array:
-    """CIELAB of X/Xn, Y/Yn, Z/Zn behind the filters of the eye."""
+    """Return CIELAB of X/Xn, Y/Yn, Z/Zn behind the filters of the eye."""
     return filtered_lab(
         relative * WHITE, white_xyz=WHITE, samples_per_deg=samples_per_deg, filters=filters
     )
@@ -992,13 +992,13 @@ def _viewed_delta_e(relative: Array, other: Array, unit: float = 1.0, **filters:
 
 
 def grating(order: int) -> Array:
-    """X/Xn, Y/Yn, Z/Zn (1, 16, 3) of a grating in all three opponent channels."""
+    """Return X/Xn, Y/Yn, Z/Zn (1, 16, 3) of a grating in all three opponent channels."""
     wave = np.cos(np.pi * order * (np.arange(16) + 0.5) / 16)
     return 0.5 + wave[None, :, None] * np.array([0.3, 0.1, -0.2])
 
 
 def _mirrored_lab(relative: Array, samples_per_deg: float, filters: Filters) -> Array:
-    """CIELAB of a picture, filtered with its mirror images around it."""
+    """Return CIELAB of a picture, filtered with its mirror images around it."""
     rows, columns, _ = relative.shape
     whole = np.pad(relative, ((0, rows), (0, columns), (0, 0)), mode="symmetric")
     return _viewed_lab(whole, samples_per_deg, filters)[:rows, :columns]
@@ -1098,8 +1098,7 @@ def viewer() -> list[Row]:
     ]
 
 
-# --- Photodiodes: from hours in the dark to picoseconds in forward bias, 77 to 400 K, four
-# processes ---
+# --- photodiodes: from hours in the dark to 100 ns in forward bias, 77 to 400 K, four processes
 
 _CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
 _HOURS_S = 36000.0
@@ -1160,16 +1159,14 @@ def pixel_at(process: str, temperature_k: float, **options: Any) -> PixelPhysics
 
 
 def _collected_share(process: str) -> Array:
-    """Share of the generated charge that is collected; 1 above 29 000 electrons, which take half of
-    the reset voltage at most.
+    """Return the share of the generated charge that a photodiode collects, below 29 000 electrons.
+
+    So many electrons take half of the reset voltage at most. Above, the share is set to 1.
     """
     diode = diode_of(pixel_at(process, 300.15))
     generated_e = (_CURRENTS_E_PER_S[:, None] + diode.saturation_current_e_per_s) * _DISCHARGES_S
-    return np.where(
-        generated_e < 29_000,
-        collected_charge_e(_CURRENTS_E_PER_S[:, None], _DISCHARGES_S, diode) / generated_e,
-        1.0,
-    )
+    collected_e = collected_charge_e(_CURRENTS_E_PER_S[:, None], _DISCHARGES_S, diode)
+    return np.where(generated_e < 29_000, collected_e / generated_e, 1.0)
 
 
 def photodiode() -> list[Row]:
@@ -1211,7 +1208,7 @@ def photodiode() -> list[Row]:
 
 
 def _table_rows(process: str, temperature_k: float, time_s: float, conversion: str) -> list[Row]:
-    """The table of a photodiode's response, beside the quadrature that it stands for."""
+    """Return the rows of a photodiode's table of responses, which replaces a quadrature."""
     name = f"{process}, {temperature_k:g} K, {time_s:g} s, {conversion}"
     physics = pixel_at(process, temperature_k, well_limit="diode", conversion=conversion)
     diode = diode_of(physics)

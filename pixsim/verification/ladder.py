@@ -39,14 +39,13 @@ from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import UserSettings, field_names, warn_of_settings_without_effect
 
-# Samples across the film, relative to that of a run
+# Samples across the film, relative to those of a run.
 EFFORTS = (0.25, 0.5, 1.0)
 _QUICK_EFFORTS = (0.5, 1.0)
 REFERENCE = 2.0
 _REFERENCE_OF_CHART = 4.0
-_REFERENCE_ERROR_SHARE = (
-    1 / 3
-)  # of the smallest error that is shown: largest error of the reference
+# Largest error of the reference, as a share of the smallest error that is shown.
+_REFERENCE_ERROR_SHARE = 1 / 3
 _MIN_ACROSS = 16
 
 
@@ -96,11 +95,11 @@ class Accuracy(Result):
 
     name : of the scene
     rungs : films of less work than the default settings, and these, which come last
-    reference : a film of more samples; its own error is below a third of the smallest that is
-        shown, or it is none
+    reference : a film of more samples, or None if its own error is above a third of the smallest
+        that is shown
     cases : extreme cases
     header : of the irradiance with the default settings
-    settings : as given
+    settings : as the user states them
     seconds : wall time in s
     """
 
@@ -253,7 +252,7 @@ def measure_accuracy(
 def climb(
     request: LightRequest, across: int, efforts: Sequence[float], progress: Progress
 ) -> tuple[tuple[Rung, ...], Rung | None]:
-    """Return the rungs of a ladder and its reference, the same sensor with the same noise on all
+    """Return the rungs of a ladder and its reference; the sensor and its noise are the same on all
     films.
 
     across : samples across the film of the default settings, whose effort is 1
@@ -275,7 +274,7 @@ def climb(
         for effort in rung_efforts
     }
 
-    # What is compiled in a first measurement counts for no rung.
+    # The first measurement compiles kernels: its time counts for no rung.
     _measure(request, imaging, widths[efforts[0]], 1 / efforts[0], None)
     rungs: list[Rung] = []
     noise: Array | None = None
@@ -302,8 +301,8 @@ def _measure(
 ) -> tuple[Rung, Array]:
     """Return a rung, and the standard noise of its frame.
 
-    noise_factor : as much render noise as asked for
-    noise : of another rung's frame. None draws it
+    noise_factor : render noise, relative to that of the settings
+    noise : standard noise of another rung's frame. None draws it
     """
     render_noise = noise_factor * request.settings.render_noise
     noisier_request = replace(

@@ -24,8 +24,8 @@ from unittest import mock
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.chains import imaging
 from benchmarks.timing import median_s, seconds_of
+from helpers.chains import imaging
 
 import pixsim
 from pixsim import optics

@@ -45,7 +45,13 @@ from pixsim.show.render import html as page_html
 from pixsim.studies.claims import Evidence, size_maps
 from pixsim.studies.design import pixel_of
 from pixsim.studies.engine import Workers
-from pixsim.studies.merit import detail_terms, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
+from pixsim.studies.merit import (
+    detail_terms,
+    mpe30_lx_s,
+    mtf50_cy_per_mm,
+    scene_to_display_mtf,
+    system_mtf,
+)
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult
 
@@ -224,7 +230,7 @@ def test_light_against_detail_values(plates: dict[str, Plate], tiny_result: Stud
     shown50 = column(plate, "shown_mtf50_lp_per_mm")
     # MTF50 is read off lines between frequencies less than 0.01 lp/mm apart: far less than 1e-6
     # off.
-    for at, mtf in ((mtf50[2], system_mtf), (shown50[2], shown_mtf)):
+    for at, mtf in ((mtf50[2], system_mtf), (shown50[2], scene_to_display_mtf)):
         assert mtf(tiny_result, physics, np.array(at)) == pytest.approx(0.5, abs=1e-6)
     assert (shown50 < mtf50).all()
     for values in (mtf50, shown50):

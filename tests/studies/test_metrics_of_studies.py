@@ -284,7 +284,7 @@ def test_search_finds_both_ends_of_the_light_in_which_a_target_is_seen(start_lx:
         calls.append(log_ratio)
         return excess_of_light(start_lx * math.exp(log_ratio))
 
-    ends = Search(excess, {0.0: excess_of_light(start_lx)}).seen()
+    ends = Search(excess, {0.0: excess_of_light(start_lx)}).positive_range()
     ends_lx = start_lx * np.exp(np.array(ends, float))
     np.testing.assert_allclose(ends_lx, [12.0, upper_lx], rtol=2e-3)
     assert len(calls) <= MAX_RENDERS
@@ -299,8 +299,8 @@ def test_search_comes_within_10_percent_of_the_maximum_of_what_is_seen_nowhere(
         {0.0: excess_of_light(start_lx, 0.08)},
     )
     maximum = max(excess_of_light(lux, 0.08) for lux in np.geomspace(100.0, 3000.0, 1000))
-    assert search.seen() == (None, None)
-    assert maximum - 0.1 < search.at[search.best] <= maximum + 1e-9
+    assert search.positive_range() == (None, None)
+    assert maximum - 0.1 < search.values[search.best] <= maximum + 1e-9
 
 
 def test_search_has_no_effect_in_a_study() -> None:

@@ -30,7 +30,7 @@ from pixsim.studies.optimum import (
     convex_range,
     drawn_curves,
     fit_curve,
-    measured,
+    measurements_of,
     minima,
     quadratic,
     wiener_covariance,
@@ -115,7 +115,7 @@ def test_fit_curve_with_a_flank_beside_the_best_size_leaves_a_corner_open() -> N
     best = int(np.argmin(mean))
     assert max(mean[best - 1], mean[best + 1]) / mean[best] > FLANK
     fit = fitted(mean, pitch_um=pitch)
-    assert not fit.logarithmic
+    assert not fit.is_logarithmic
     assert fit.optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
     expected = np.exp(convex_range(np.log(pitch), mean, np.zeros(5)))
     np.testing.assert_allclose(
@@ -174,7 +174,7 @@ def test_fit_curve_of_a_convex_corner_contains_it() -> None:
         [11, 5, 1, 5 / 3, 7 / 3, 3, 11 / 3]
     )  # of max(5 - 6 (i - 1), 0.8 + 2/3 (i - 1.7)), least 0.8 at i = 1.7
     fit = fitted(mean, pitch_um=pitch)
-    assert fit.logarithmic
+    assert fit.is_logarithmic
     low, high = fit.optimum.interval_um
     assert low <= 2 * 5 ** (1.7 / 6) <= high
     assert pitch[0] <= low < fit.optimum.pitch_um < high <= pitch[-1]
@@ -331,13 +331,17 @@ def test_measured_pools_scatter() -> None:
     """Two pitches by hand: squares about the means 2 and 4 are 2 · 1² and 2 · 1², of 1 · 2² + 1 ·
     4² expected at 100 %.
     """
-    data = measured(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
+    data = measurements_of(np.array([0.0, 1.0]), np.array([[1.0, 3.0, np.nan], [3.0, 5.0, np.nan]]))
     np.testing.assert_allclose(data.mean, [2, 4])
-    assert (data.scale, data.degrees.tolist(), data.logarithmic) == (2.0, [2, 2], False)
+    assert (data.scale, data.degrees_of_freedom.tolist(), data.is_logarithmic) == (
+        2.0,
+        [2, 2],
+        False,
+    )
     np.testing.assert_allclose(data.design.noise, 4 / 20 * np.array([1.0, 4.0]))
     # And of many sensors it is theirs: 5 standard errors of a standard deviation from 8000 values,
     # 1/√16000.
-    many = measured(np.log(PITCH), sensors_of(parabola(PITCH), 500, 0.01))
+    many = measurements_of(np.log(PITCH), sensors_of(parabola(PITCH), 500, 0.01))
     assert np.sqrt(many.design.noise[parabola(PITCH).argmin()]) == pytest.approx(
         0.01, rel=5 / np.sqrt(16000)
     )
@@ -353,21 +357,23 @@ def test_a_pitch_that_scatters_significantly_more_keeps_its_scatter() -> None:
     rng = np.random.default_rng(5)
     noise = np.full(PITCH.size, 0.01)
     same = [
-        measured(
+        measurements_of(
             np.log(PITCH), 1 + noise[:, None] * rng.standard_normal((PITCH.size, 8))
-        ).loud.any()
+        ).noisy.any()
         for _ in range(300)
     ]
     assert sum(same) <= 9
     noise[4] *= 4
     others, kept = np.arange(PITCH.size) != 4, []
     for _ in range(300):
-        data = measured(np.log(PITCH), 1 + noise[:, None] * rng.standard_normal((PITCH.size, 8)))
-        kept.append(bool(data.loud[4]))
-        if kept[-1] and not data.loud[others].any():
-            assert data.degrees[4] == 7
-            assert (data.degrees[others] == 7 * 15).all()
-            assert np.sqrt(data.relative[others]) == pytest.approx(
+        data = measurements_of(
+            np.log(PITCH), 1 + noise[:, None] * rng.standard_normal((PITCH.size, 8))
+        )
+        kept.append(bool(data.noisy[4]))
+        if kept[-1] and not data.noisy[others].any():
+            assert data.degrees_of_freedom[4] == 7
+            assert (data.degrees_of_freedom[others] == 7 * 15).all()
+            assert np.sqrt(data.relative_variance[others]) == pytest.approx(
                 0.01, rel=0.3
             )  # 4.4 standard errors of 105 degrees
     assert 280 <= sum(kept) <= 300
@@ -377,8 +383,8 @@ def test_measured_of_steep_curve_is_logarithmic() -> None:
     """Two pitches by hand: squares about the means 1 and 7 are 2 · 0.5² and 2 · 2², of 1 · 1² + 1 ·
     7² expected at 100 %.
     """
-    data = measured(np.array([0.0, 1.0]), np.array([[0.5, 1.5], [5.0, 9.0]]))
-    assert data.logarithmic
+    data = measurements_of(np.array([0.0, 1.0]), np.array([[0.5, 1.5], [5.0, 9.0]]))
+    assert data.is_logarithmic
     np.testing.assert_allclose(data.values, [0, np.log(7)])
     np.testing.assert_allclose(data.design.noise, 8.5 / 50)  # of a logarithm: the relative variance
     np.testing.assert_allclose(data.delta_e_of(data.values), [1, 7])
@@ -392,7 +398,7 @@ def test_fit_curve_of_a_power_of_e(bend: float) -> None:
     x = np.log(PITCH / BEST_UM)
     assert np.exp(bend * x**2).max() > STEEP
     fit = fitted(MIN_VERSIONS * np.exp(bend * x**2))
-    assert fit.logarithmic
+    assert fit.is_logarithmic
     np.testing.assert_allclose(
         fit.delta_e, MIN_VERSIONS * np.exp(bend * np.log(fit.pitch_um / BEST_UM) ** 2), rtol=1e-5
     )

@@ -52,8 +52,8 @@ from pixsim.studies.merit import (
     detail_terms,
     mpe30_lx_s,
     mtf50_cy_per_mm,
+    scene_to_display_mtf,
     sensitivity_e_per_lx_s_um2,
-    shown_mtf,
     study_mtf_terms,
     system_mtf,
 )
@@ -254,7 +254,7 @@ def test_study_mtf_terms_at_33_lp_per_mm() -> None:
     assert {name: round(float(item), 3) for name, item in terms.items()} == expected
     # Products of numbers of three digits.
     assert float(system_mtf(result, derive(pixel), at)) == pytest.approx(0.906 * 0.977, abs=1e-3)
-    assert float(shown_mtf(result, derive(pixel), at)) == pytest.approx(
+    assert float(scene_to_display_mtf(result, derive(pixel), at)) == pytest.approx(
         0.906 * 0.977 * 0.858 * 0.950, abs=2e-3
     )
     # Silicon sees the red of daylight, which is diffracted more; about 0.25 % of contrast for 10

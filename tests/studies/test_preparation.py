@@ -430,7 +430,7 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
         OF_A_LENS_UM, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4
     )
     low, high = steep.no_difference_um
-    assert not steep.fit.logarithmic, "a steeper curve does not swing"
+    assert not steep.fit.is_logarithmic, "a steeper curve does not swing"
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
     least = f"lowest at {steep.optimum.pitch_um:.2f} µm (95 %: unknown beside the steep flank)"
