@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.claims import Claim
-from helpers.closed_forms import charge_to_e, spice_ff
+from helpers.closed_forms import charge_to_e, constant_diode_charge_e, spice_ff
 from scipy.constants import c as light_speed, e as electron, h as planck, k as boltzmann
 from scipy.integrate import quad
 from scipy.stats import norm
@@ -39,8 +40,15 @@ from pixsim.sensor.motion import (
 )
 from pixsim.sensor.motion_options import NO_MOTION, Motion
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2, variances_e2, without_source
-from pixsim.sensor.photodiode import diode_of
+from pixsim.sensor.photodiode import (
+    charge_from_total_e,
+    collected_charge_e,
+    default_diode,
+    diode_of,
+    stored_signal_e,
+)
 from pixsim.sensor.pixel import (
+    WELL_REFERENCE_S,
     PixelPhysics,
     derive,
     diode_full_v,
@@ -582,6 +590,160 @@ LAYOUT = [
             why="the density was divided by a rounded fill factor",
         )
         for name, pitch_um, well_e in (("4t-bsi", 1.4, 6000.0), ("4t-fsi", 6.0, 25_000.0))
+    ),
+]
+
+
+DIODE = default_diode()
+SHALLOW = replace(DIODE, reset_voltage_v=0.1)
+TINY = replace(DIODE, saturation_current_e_per_s=5e-324)
+DARKLESS = replace(DIODE, saturation_current_e_per_s=0.0)
+CHARGES_E = np.logspace(-9, 20, 30)
+CURRENTS_E_PER_S = np.logspace(-3, 17, 41)[:, None]
+TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
+
+
+def level_share(name: str, share: Any, **options: Any) -> np.ndarray:
+    """Signal level after 30 ms of a charge, both as shares of the full well."""
+    reading = Readout.of(of_process(name, conversion="junction", **options))
+    charge_e = np.asarray(share) * reading.full_well_e
+    return stored_signal_e(charge_e, 0.03, reading) / reading.full_well_e
+
+
+def zero_bias_v(name: str) -> float:
+    """Open-circuit bias of the light that discharges a photodiode to 0 V in the reference time."""
+    diode = diode_of(of_process(name, well_limit="diode"))
+    light_e_per_s = charge_to_e(diode, 0.0) / WELL_REFERENCE_S
+    return -diode.thermal_v * math.log1p(light_e_per_s / diode.saturation_current_e_per_s)
+
+
+PHOTODIODES = [
+    Claim(
+        "the bias inverts the charge into deep forward bias",
+        lambda: DIODE.charge_e(DIODE.reset_voltage_v, DIODE.drop_v(CHARGES_E)),
+        CHARGES_E,
+        rtol=1e-12,
+    ),
+    Claim(
+        "open-circuit bias -V_T ln(1 + i/I_s) of dim light, and where the ratio overflows",
+        lambda: [DIODE.open_circuit_v(1e-12), TINY.open_circuit_v(1e17)],
+        -DIODE.thermal_v
+        * np.array([1e-12 / DIODE.saturation_current_e_per_s, math.log(1e17) - math.log(5e-324)]),
+        rtol=1e-6,
+    ),
+    Claim(
+        "open-circuit bias without light, and without a diode current",
+        lambda: [DIODE.open_circuit_v(0.0), DARKLESS.open_circuit_v(1.0)],
+        [0.0, -math.inf],
+    ),
+    Claim("kT/q at 27 °C", lambda: DIODE.thermal_v, boltzmann * 300.15 / electron, rtol=1e-12),
+    Claim(
+        "the diode current is the dark current",
+        lambda: DIODE.saturation_current_e_per_s,
+        1e-17 / electron * pixel_035().photodiode_area_um2,
+        rtol=1e-12,
+    ),
+    # As of a dark pixel's share below the mean: less than I_s e^(-V_0/V_T) collects nothing.
+    Claim(
+        "a negative photocurrent slows the discharge",
+        lambda: charge_from_total_e(
+            SHALLOW.saturation_current_e_per_s * np.array([0.0, 1e-3, 1.0]),
+            np.full(3, 1e5),
+            SHALLOW,
+        ),
+        [0.0, 0.0, charge_to_e(SHALLOW, 0.0)],
+        rtol=1e-9,
+    ),
+    Claim(
+        "charge of light in single precision, far from forward bias: all of it",
+        lambda: collected_charge_e(np.float32([0.0, 1e6]), 0.03),
+        0.03 * (np.array([0.0, 1e6]) + DIODE.saturation_current_e_per_s),
+        rtol=1e-12,
+    ),
+    *(
+        Claim(
+            f"charge of a constant capacitance at {kelvin:g} K: 20 decades of light, 1 ns to 10 h",
+            lambda kelvin=kelvin: collected_charge_e(
+                CURRENTS_E_PER_S,
+                TIMES_S,
+                diode_of(pixel_035(capacitance="paper", temperature_k=kelvin)),
+            ),
+            constant_diode_charge_e(
+                CURRENTS_E_PER_S,
+                TIMES_S,
+                diode_of(pixel_035(capacitance="paper", temperature_k=kelvin)),
+            ),
+            rtol=1e-10,
+            why="as the kernel promises",
+        )
+        for kelvin in (77.0, 300.15, 400.0)
+    ),
+    *(
+        Claim(
+            f"full bias of {name}: that of light which discharges it to 0 V in 30 ms",
+            lambda name=name: diode_full_v(diode_of(of_process(name, well_limit="diode"))),
+            zero_bias_v(name),
+            rtol=1e-9,
+            why="rounding of the charge",
+        )
+        for name in PITCHES_UM
+    ),
+    *(
+        Claim(
+            f"well and mean capacitance of {name} down to there",
+            lambda name=name: [
+                of_process(name, well_limit="diode").full_well_e,
+                of_process(name, well_limit="diode").capacitance_ff,
+            ],
+            charge_to_e(diode_of(of_process(name, well_limit="diode")), zero_bias_v(name))
+            * np.array(
+                [
+                    1.0,
+                    electron
+                    * 1e15
+                    / (diode_of(of_process(name)).reset_voltage_v - zero_bias_v(name)),
+                ]
+            ),
+            rtol=1e-9,
+            why="rounding of the charge",
+        )
+        for name in PITCHES_UM
+    ),
+    Claim(
+        "a stated well scales the capacitance at every bias",
+        lambda: diode_of(pixel_035(full_well_e=5e5)).capacitance_ff(1.3),
+        5e5 / pixel_035().full_well_e * float(spice_ff(diode_of(pixel_035()), 1.3)),
+        rtol=1e-12,
+    ),
+    *(
+        Claim(
+            f"the capacitance of {name} bends the response by {bend:g} of the well, half way up",
+            lambda name=name: (
+                level_share(name, np.linspace(0, 1, 201)) - np.linspace(0, 1, 201)
+            ).max(),
+            bend,
+            atol=1e-4,
+            why="the digits of the calculation by hand",
+        )
+        for name, bend in (
+            ("0.5um", 0.0161),
+            ("0.35um", 0.0175),
+            ("0.25um", 0.0193),
+            ("0.18um", 0.0099),
+        )
+    ),
+    Claim(
+        "and leaves both ends",
+        lambda: level_share("0.35um", [0.0, 1.0, 1.3]),
+        [0.0, 1.0, 1.0],
+        atol=1e-6,
+        why="the table",
+    ),
+    Claim(
+        "a constant capacitance is linear",
+        lambda: level_share("0.35um", np.linspace(0, 1.3, 14), capacitance="paper"),
+        np.minimum(np.linspace(0, 1.3, 14), 1.0),
+        rtol=1e-14,
     ),
 ]
 
@@ -1149,6 +1311,7 @@ CLAIMS = [
     *FLICKER,
     *CODES,
     *LAYOUT,
+    *PHOTODIODES,
     *RESPONSE,
     *READING,
     *CORRECTIONS,
