@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from helpers.processes import HANG_S
 
-import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE, private_folder
 from pixsim.base.locks import UNFINISHED, unfinished
@@ -185,17 +184,6 @@ def test_arrays_damaged_file_is_rejected(folder):
     assert_is_content(cache.arrays("kind", "key"))
 
 
-def test_json_entry_with_any_changed_byte_is_computed_again(folder):
-    cached(0.13211)
-    path = folder / "kind/key.json"
-    whole = path.read_bytes()
-    for place, byte in enumerate(whole):
-        for other in {byte ^ 1, ord("3")} - {byte}:
-            path.write_bytes(whole[:place] + bytes([other]) + whole[place + 1 :])
-            with pytest.warns(UserWarning, match="damaged"):
-                assert cached(0.13211) == ({"number": 0.13211}, 1)
-
-
 def test_texture_with_a_changed_byte_is_written_again(folder):
     """OpenEXR would read most of them without a word."""
     texels = np.linspace(0, 1, 64, dtype=np.float32).reshape(8, 8)
@@ -277,13 +265,6 @@ def test_limit_zero_disables_cache(folder, monkeypatch):
     assert cached(1.5) == ({"number": 1.5}, 1)
     assert cached(2.5) == ({"number": 2.5}, 1)
     assert [entry.path.stem for entry in cache.entries()] == ["key"]
-
-
-@pytest.mark.parametrize("text", ["", "many", "-1", "nan", "inf", "1e12"])
-def test_limit_bytes_invalid_value_raises(monkeypatch, text):
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, text)
-    with pytest.raises(pixsim.PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
-        cache.limit_bytes()
 
 
 def test_trim_removes_partial_files_of_ended_processes(folder):
@@ -368,16 +349,6 @@ def test_a_folder_that_cannot_be_listed_is_passed_over(folder, monkeypatch):
     assert (folder / "theirs/key.npz").exists()
 
 
-def test_what_lies_in_a_closed_folder_is_no_entry(folder, monkeypatch):
-    cache.store_arrays("theirs", "key", CONTENT)
-    path = folder / "theirs/key.npz"
-    assert cache.is_entry(path)
-    monkeypatch.setattr(
-        Path, "lstat", Mock(side_effect=PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
-    )
-    assert not cache.is_entry(path)
-
-
 @pytest.mark.parametrize(
     "change", ["of another key", "of another kind", "behind a link", "in a linked folder"]
 )
@@ -433,17 +404,6 @@ def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, fault, tmp_path
     ] * (fault is not None)
     assert (found == folder / "kernels") == (fault is None)
     assert (found.stat().st_mode & 0o777, found.stat().st_uid) == (0o700, os.geteuid())
-
-
-def test_clear_removes_one_kind_or_all(folder):
-    cache.store_arrays("render", "a", CONTENT)
-    cache.store_arrays("frame", "b", CONTENT)
-    cached(1.0)
-    size = (folder / "frame/b.npz").stat().st_size
-    assert cache.clear("frame") == size
-    assert sorted(entry.kind for entry in cache.entries()) == ["kind", "render"]
-    assert cache.clear() > 0
-    assert cache.entries() == []
 
 
 def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):

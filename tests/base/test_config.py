@@ -4,21 +4,17 @@ settings.
 
 from __future__ import annotations
 
-import json
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import assert_refused, command
-from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.cli.options import SceneOptions
-from pixsim.optics.camera import CameraOptions
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
@@ -30,7 +26,6 @@ from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study, with_data_sheets
 from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.setting import Run
-from pixsim.viewer.settings_file import settings_layer
 
 SHEET = """
 [pixel]
@@ -52,11 +47,6 @@ TIME_S = 1e-3  # so short that dark charge does not matter
 def written(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def test_data_sheet_of_a_pitch_below_that_of_its_process_raises() -> None:
-    with pytest.raises(PixsimError, match=r"data_sheet_pitch_um: got 3; allowed: above 5\.13"):
-        derive(Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0))
 
 
 def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
@@ -105,24 +95,6 @@ def test_study_incomplete_data_sheet_raises() -> None:
     )
     with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
         Study.model_validate(table | {"technologies": ["none", "0.35um"]})
-
-
-def test_study_command_takes_a_data_sheet_and_a_parameter_of_the_scene(tmp_path: Path) -> None:
-    """And a quick study that has few sizes and sensors keeps them."""
-    study_path = written(
-        tmp_path / "own.toml", 'name = "own"\nrepeats = 2\nrefine = false\n[pitch]\ncount = 5\n'
-    )
-    path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nspp = 4\n[display]\ndots = 64\n")
-    line = (
-        f"study {study_path} --config {path} --resolution 48 --camera.die-mm 0.5 -D"
-        " luminance_cd_per_m2=50 --quick --dry-run"
-    )
-    code, out, err = command(line)
-    assert code == 0, err
-    assert "csf: spp = 4, emitter_scale = " in out
-    assert (
-        "data sheet: 500 × 500 pixels of 1 µm to 31 × 31 pixels of 16 µm, 2 sensors of each" in out
-    )
 
 
 def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
@@ -285,18 +257,12 @@ def test_data_sheet_sets_all_values(sheet: Path) -> None:
     assert (readout.read_noise_e, readout.dark_current_e_per_s) == (2.5, 8.0)
 
 
-def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> None:
-    nm = np.array([399.0, 400.0, 475.0, 550.0, 800.0, 900.0, 901.0])
-    efficiency = pixsim.derive(settings_of(sheet).pixel).quantum_efficiency(nm)
-    np.testing.assert_allclose(efficiency, [0, 0.30, 0.45, 0.60, 0.20, 0, 0], atol=1e-15)
-
-
 @pytest.mark.parametrize(
     "missing",
     ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"],
 )
-def test_run_command_incomplete_data_sheet_states_assumed_technology(
-    missing: str, sheet: Path, tmp_path: Path
+def test_incomplete_data_sheet_states_the_technology_that_is_assumed(
+    missing: str, sheet: Path
 ) -> None:
     text = "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)).replace(
         "pitch_um = 4.0", "pitch_um = 6.0"
@@ -306,15 +272,6 @@ def test_run_command_incomplete_data_sheet_states_assumed_technology(
     pixel = settings_of(sheet).pixel
     assert words in repr(pixel)
     assert (pixel.assumption, pixel.technology) == (words, "0.35um")
-    if missing == "pitch_um":  # the way from there to the results is the same for all
-        small = f"run csf --resolution 48 --display.dots 64 --out {tmp_path / 'out'} --config"
-        code, out, err = command(small, sheet)
-        assert (code, words in out) == (0, True), err
-        code, out, err = command(small, sheet, "--json")
-        score = json.loads(out)
-        # of a sheet's pixels, without a lens
-        lens = "focal length 3.86 mm assumed, that of the scene: a field of 28.9° × 28.9°"
-        assert (score["assumption"], score["pixel"]["technology"]) == (f"{words}; {lens}", "0.35um")
 
 
 @pytest.mark.parametrize(
@@ -370,15 +327,6 @@ def test_illuminance_of_the_user_replaces_the_luminance_of_a_study(tmp_path, sta
         load_study("pixel-size", parameters={stated: 500.0}),
     ):
         assert study.scene.parameters == kept
-
-
-def test_parameters_in_a_table_of_their_own_are_told_where_they_stand(tmp_path):
-    path = written(tmp_path / "light.toml", "[scene]\nparameters = { lux = 500 }\n")
-    with pytest.raises(
-        PixsimError,
-        match=r"scene: got a table, scene.parameters; .* State parameters as scene.lux = 500",
-    ):
-        load_study("pixel-size", path)
 
 
 def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
@@ -457,13 +405,6 @@ def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
     assert (study_pitches_um(study, "0.35um").size, study.repeats) == (sizes, sensors)
 
 
-def test_quick_takes_the_name_or_the_file_of_a_study(tmp_path: Path) -> None:
-    with pytest.raises(
-        PixsimError, match="quick: got with a Study; allowed: the name or the file of a study"
-    ):
-        pixsim.study(Study(name="x"), tmp_path, quick=True)
-
-
 def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
     paths = [
         written(tmp_path / "a.toml", SHEET),
@@ -515,20 +456,6 @@ def test_study_layers_data_sheet_disables_paper(tmp_path: Path) -> None:
     assert study.sources["display.dots"].startswith("assumed")
 
 
-def test_study_command_same_process_twice_raises(tmp_path: Path) -> None:
-    """Rows are identified by content: two names of one process would share them."""
-    source = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
-    for name in ("a", "b"):
-        written(tmp_path / f"{name}.toml", source.read_text(encoding="utf-8"))
-    study_path = written(
-        tmp_path / "own.toml", 'name = "own"\ntechnologies = ["a.toml", "b.toml"]\n'
-    )
-    assert_refused(
-        *command(f"study {study_path} --out {tmp_path / 'out'}"),
-        ["b.toml", "the same process", "each process once"],
-    )
-
-
 @pytest.mark.parametrize(
     ("options", "gain_db", "message"),
     [
@@ -568,31 +495,6 @@ def test_low_black_level_gives_note(
     dark = dark_clip(Readout.of(derive(pixel)).at(Exposure(gain_db=gain_db)), TIME_S, 1e4)
     assert clips_dark(dark) == bool(message)
     assert not message or message in clip_note(dark, pixel.model_dump())
-
-
-@pytest.mark.slow
-def test_study_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
-    """The smallest pixel has the smallest full well, and so the largest error."""
-    pitch = {"values_um": [6, 8, 10, 14, 20]}
-    for black, notes in (({}, 2), ({"black_level_dn": 250}, 0)):
-        study = tiny(technologies=["0.35um", "4t-bsi"], pitch=pitch, pixel={"bits": 14, **black})
-        result = pixsim.study(study, tmp_path / f"{notes}", jobs=1)
-        lines = [
-            note["text"] for note in result.as_dict()["notes"] if "clips dark noise" in note["text"]
-        ]
-        assert len(lines) == notes
-        for line, curve in zip(lines, result.curves, strict=bool(notes)):
-            dark = result.dark(curve)
-            assert line.startswith(
-                f"{curve.technology}: the black level of 0 DN clips dark noise, most at 6.00 µm: "
-            )
-            assert f"{100 * dark['at_zero_fraction'][0]:.0f} % of dark pixels" in line
-            assert line.endswith(
-                f"set pixel.black_level_dn = {max(dark['least_black_level_dn'])} to avoid this"
-            )
-        assert all(
-            len(values) == 5 for curve in result.curves for values in result.dark(curve).values()
-        )
 
 
 # --- The die from its pixels
@@ -635,19 +537,6 @@ def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_pa
             SceneOptions([path]).settings()
 
 
-def test_settings_pixels_without_pitch_raises(tmp_path: Path) -> None:
-    for pixels, message in (
-        ("[640, 480]", "needs the pitch of the sensor"),
-        ("[640]", "columns and rows"),
-        ('"640 by 480"', "columns and rows"),
-    ):
-        path = written(tmp_path / "sensor.toml", f"[camera]\npixels = {pixels}\n")
-        with pytest.raises(PixsimError, match=message):
-            SceneOptions([path]).settings()
-    with pytest.raises(PixsimError, match=r"camera\.pixels: got \[640, 480\]"):
-        CameraOptions(pixels=(640, 480)).over(pixsim.Camera())
-
-
 def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None:
     """The die is that of the sheet's own pitch, whether a data sheet or a technology; and of the
     study's own [pixel].
@@ -664,91 +553,3 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
     assert Study.model_validate(table).camera.die_height_mm == 1.6
     with pytest.raises(ValueError, match="needs the pitch of the sensor"):
         Study.model_validate(table | {"pixel": {}})
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[pixel]\ngain = 2", "Write gain_e_per_dn or dn_per_e."),
-        ("read_noise = 3", "It belongs in [pixel], as read_noise_e."),
-        ("[sensor]\nbits = 8", "Write [pixel]."),
-        ("[pixel]\nf_number = 4", "It belongs in [camera]."),
-        ("[camera]\nbits = 8", "It belongs in [pixel] or in [display]."),
-        ("[camera]\nseed = 8", "It belongs above all tables."),
-        ("[camera.lens]\nfile = 'phone'", "Write [lens]."),
-        (
-            "[pixel.stack]\nresolution = 3",
-            "pixel.stack.resolution: unknown name; allowed: enabled,",
-        ),
-        ("width = 1936", "It belongs in [camera] or in [display], as pixels or dots."),
-        ("[display]\nresolution = 640", "Write dots."),
-        *(
-            (
-                text,
-                (
-                    "columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution"
-                    " is the width of the film."
-                ),
-            )
-            for text in ("[camera]\nresolution = [1936, 1216]", "[pixel]\nresolution = 512")
-        ),
-        (
-            "[camera]\npixels = 1936",
-            (
-                "got 1936; allowed: columns and rows, as [1936, 1216]. The number of samples across"
-                " the film is"
-            ),
-        ),
-        ("[pixel]\nquantum_efficiency = 65", "a fraction: 65 % is 0.65."),
-        ("[pixel]\nquantum_efficiency = '65 %'", "a fraction: 65 % is 0.65."),
-        ("[pixel]\ndark_current = 3", "Write dark_current_e_per_s = 3, or"),
-        (
-            "[pixel]\npitch_um = 3,45",
-            "Write numbers with a decimal point and without a unit, such as 3.45 or 10500.",
-        ),
-        (
-            "[pixel]\nfull_well_e = 10500 e-",
-            "Write numbers with a decimal point and without a unit, such as 3.45 or 10500.",
-        ),
-    ],
-)
-def test_words_and_units_of_data_sheets_are_answered_in_ours(
-    text: str, words: str, tmp_path: Path
-) -> None:
-    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(PixsimError) as error:
-        checked(Run, [settings_layer(tmp_path / "s.toml")])
-    assert words in str(error.value)
-
-
-def test_allowed_names_are_listed_once_a_table(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(
-        "[pixel]\nbit_depth = 8\nqe = 0.5\n[camera]\nx = 1", encoding="utf-8"
-    )
-    with pytest.raises(PixsimError) as error:
-        checked(Run, [settings_layer(tmp_path / "s.toml")])
-    lines = str(error.value).splitlines()
-    assert [("allowed: " in line, line.partition("toml: ")[2].split(":")[0]) for line in lines] == [
-        (True, "camera.x"),
-        (True, "pixel.bit_depth"),
-        (False, "pixel.qe"),
-    ]
-    assert lines[2].endswith("pixel.qe: unknown name. Write quantum_efficiency.")
-
-
-def test_incomplete_sheet_names_what_it_lacks() -> None:
-    """Not only the pitch that the transistors of a process leave, which nobody chose."""
-    with pytest.raises(
-        PixsimError,
-        match=r"^pixel\.pitch_um: got 2\.4; .*No technology was chosen.*Give dark_current_e_per_s",
-    ):
-        derive(Pixel(pitch_um=2.4, full_well_e=6000, read_noise_e=1.5, quantum_efficiency=0.6))
-    with pytest.raises(PixsimError, match=r"transistors of 0.35um fill the pixel"):
-        derive(Pixel(technology="0.35um", pitch_um=2.4))
-
-
-def test_pixel_of_a_file_name_says_how_to_read_one() -> None:
-    with pytest.raises(
-        PixsimError, match=r"Pixel: got 'sensor_a\.toml'; allowed: fields by name.*tomllib\.loads"
-    ):
-        Pixel("sensor_a.toml")

@@ -105,14 +105,6 @@ def test_files_of_a_folder_of_release_1_1_are_replaced(tmp_path: Path) -> None:
         publish(tmp_path, b="new")
 
 
-def test_check_replaceable_own_or_missing_files_pass(tmp_path: Path) -> None:
-    check_replaceable(tmp_path / "none", ["a.txt"])
-    (tmp_path / "mine.txt").write_text("mine")
-    check_replaceable(tmp_path, ["a.txt"])
-    publish(tmp_path, a="1")
-    check_replaceable(tmp_path, ["a.txt"])
-
-
 def test_publishing_killed_between_moves_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

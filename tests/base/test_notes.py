@@ -85,19 +85,6 @@ def test_collected_notes_inner_block_shares_list() -> None:
         assert after == []
 
 
-@pytest.mark.parametrize(
-    ("value", "limit", "texts"),
-    [
-        (0.2013, 0.2, ("0.201", "0.2")),
-        (0.2, 0.2, ("0.2", "0.2")),
-        (0.3, 0.2, ("0.3", "0.2")),
-        (0.20000001, 0.2, ("0.20000001", "0.2")),
-    ],
-)
-def test_told_apart_shows_least_digits(value: float, limit: float, texts: tuple[str, str]) -> None:
-    assert distinct_texts(value, limit) == texts
-
-
 @given(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300))
 def test_told_apart_order_is_that_of_the_numbers(value: float, limit: float) -> None:
     shown, asked = map(float, distinct_texts(value, limit))
@@ -136,10 +123,6 @@ def test_note_keeps_its_id_in_a_process_of_a_worker_and_under_a_name() -> None:
     copy = pickle.loads(pickle.dumps(note))
     assert (copy, copy.id, copy.of(["a", "b"]).id) == (note, note.id, note.id)
     assert copy.of(["a", "b"]).as_dict() == {"id": "left_out", "text": f"a, b: {note}"}
-
-
-def test_note_is_printable() -> None:
-    assert str(Note("other", words="a\x1b[2J")) == "a\\x1b[2J"
 
 
 @pytest.mark.parametrize(

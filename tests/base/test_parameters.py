@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pixsim.base.errors import PixsimError
 from pixsim.base.hashes import content_hash
-from pixsim.base.problems import explain
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import TracedLens
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
@@ -22,29 +19,9 @@ RECORDS = [Camera, CameraOptions, Display, Exposure, Pixel, Run]
 
 
 @pytest.mark.parametrize("record", RECORDS)
-def test_record_is_frozen_and_rejects_unknown_name(record):
-    with pytest.raises(PixsimError, match="pitch_mm"):
-        record(pitch_mm=1.0)
+def test_record_is_frozen(record):
     with pytest.raises(ValidationError, match="frozen"):
         setattr(record(), next(iter(record.model_fields)), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("record", "values"),
-    [
-        (Pixel, {"quantum_efficiency": 1.5}),
-        (Pixel, {"bits": 10.5}),
-        (Pixel, {"bits": 8, "black_level_dn": 255}),
-        (Display, {"raster": "fit"}),
-        (Study, {"name": "a b"}),
-        (Study, {"name": "x", "repeats": 1}),
-        (Study, {"name": "x", "technologies": ()}),
-    ],
-)
-def test_record_invalid_value_raises(record, values):
-    """Bounds of numbers are in test_properties."""
-    with pytest.raises(PixsimError, match=next(reversed(values))):
-        record(**values)
 
 
 def test_content_hash_ignores_order():
@@ -128,42 +105,3 @@ def test_camera_obeys_thin_lens_equation(camera):
     assert 2e3 * camera.chart_half_width_m * camera.magnification == pytest.approx(
         camera.die_mm, rel=1e-12
     )
-
-
-@pytest.mark.parametrize("object_distance_m", [0.05, 0.049])
-def test_camera_object_within_focal_length_raises(object_distance_m):
-    with pytest.raises(PixsimError, match=r"focal_length_mm = 50 .*no real image"):
-        CameraOptions(object_distance_m=object_distance_m).over(Camera(focal_length_mm=50))
-
-
-@pytest.mark.parametrize(
-    ("record", "values", "message"),
-    [
-        (
-            Camera,
-            {"focal_length_mm": 1e300},
-            "focal_length_mm: got 1e+300; allowed: less than or equal to 1e+06.",
-        ),
-        (
-            Pixel,
-            {"full_well_e": 1e-300},
-            "full_well_e: got 1e-300; allowed: greater than or equal to 1.",
-        ),
-        (Pixel, {"bits": True}, "bits: got True; allowed: a number or a name."),
-        (
-            Pixel,
-            {"quantum_efficiency": [[400, True], [700, 0.5]]},
-            "quantum_efficiency: got True; allowed: a number or a name.",
-        ),
-        (
-            Run,
-            {"pixel": {"prnu": 1e9}},
-            "pixel.prnu: got 1000000000.0; allowed: less than or equal to 0.3.",
-        ),
-    ],
-)
-def test_explain_states_bounds(record, values, message):
-    """Those of all numbers are in test_properties and test_bounds."""
-    with pytest.raises(ValidationError) as error:
-        record.model_validate(values)
-    assert message in explain(error.value)

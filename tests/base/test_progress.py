@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-
 import pytest
 
 from pixsim.base import progress
@@ -77,21 +75,6 @@ def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
     assert told == [(0.5, ", second"), (0.75, ", second"), (1.0, ", second"), (0.0, ""), (0.25, "")]
 
 
-def test_lines_stage_without_progress_lives(told: tuple[Lines, Clock, list[str]]) -> None:
-    """And without a stage nothing is said."""
-    lines, clock, written = told
-    clock.now += 100
-    lines.tick()
-    assert written == []
-    lines.begin("evaluate")
-    lines.update(0.9)
-    lines.end()
-    lines.begin("write")
-    clock.now += 10
-    lines.tick()
-    assert written[-1] == "[110 s] write …"
-
-
 def test_stages_without_terminal_tick_while_nothing_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -128,11 +111,3 @@ def test_stages_failure_claims_no_end(capsys: pytest.CaptureFixture[str]) -> Non
     with pytest.raises(KeyboardInterrupt), stages() as stage:
         raise KeyboardInterrupt(stage("render"))
     assert capsys.readouterr().err == "[0 s] render …\n"
-
-
-def test_stages_reader_is_gone_command_goes_on() -> None:
-    stream = io.StringIO()
-    stream.close()
-    with stages(quiet=True):
-        pass
-    progress.writer_to(stream)("line")
