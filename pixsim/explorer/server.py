@@ -30,8 +30,10 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.locks import remove_leftovers, temporary_folder
 from pixsim.explorer.session import PageRequest, Session
 
 _HOST = "127.0.0.1"
@@ -49,7 +51,8 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 _MAX_MESSAGE_BYTES = 1 << 16  # of a message
-_FIRST_S = 10.0  # for the token of a page
+_FIRST_S = 10.0  # for the first request of a connection, and for the token of a page
+_MAX_CONNECTIONS = 64  # at once, of whoever: a browser opens six
 RELOAD_S = 3.0  # for a page that is loaded again
 # Codes of a WebSocket that is closed.
 REFUSED = 4403
@@ -84,6 +87,23 @@ class _SamePage:
                 # Before the socket is accepted, this is an answer 403.
                 return await send({"type": "websocket.close", "code": REFUSED})
         await self.app(scope, receive, send)
+
+
+class _BoundedProtocol(H11Protocol):
+    """HTTP of a bounded number of connections, each of which has to ask for something soon: any
+    user of the machine can connect, before a token is asked for.
+    """
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > _MAX_CONNECTIONS:
+            transport.abort()
+            return
+        self.loop.call_later(_FIRST_S, self._close_if_silent)
+
+    def _close_if_silent(self) -> None:
+        if self.scope is None:  # no whole request has come
+            self.transport.abort()
 
 
 class Pages:
@@ -129,8 +149,10 @@ class Pages:
                     self.session.ask(PageRequest.of(await page.receive_json()))
                 except PixsimError as error:
                     await page.send_json({"error": str(error)})
+                except (ValueError, RecursionError) as error:
+                    await page.send_json({"error": f"page: got a message that is no JSON: {error}"})
         except (WebSocketDisconnect, TimeoutError, KeyError, ValueError, RecursionError):
-            pass  # the page is closed, or sent no token, no text, no JSON
+            pass  # the page is closed, or sent no token, no text, no JSON at first
         finally:
             if self.open is page:
                 self.open = None
@@ -151,6 +173,7 @@ def served(session: Session) -> Iterator[Path]:
     """Serve the page of a session within the block, and give the private file that leads to it."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.bind((_HOST, 0))
+    listening.listen(_MAX_CONNECTIONS)  # before anybody learns the address
     port = listening.getsockname()[1]
     token = secrets.token_urlsafe(32)
     pages = Pages(session, token)
@@ -162,25 +185,27 @@ def served(session: Session) -> Iterator[Path]:
         "server_header": False,
         "ws_max_size": _MAX_MESSAGE_BYTES,
         "lifespan": "off",
+        "http": _BoundedProtocol,
+        "ws": "websockets-sansio",
     }
-    server = uvicorn.Server(
-        uvicorn.Config(app, ws="websockets-sansio", timeout_graceful_shutdown=1, **options)
-    )
+    server = uvicorn.Server(uvicorn.Config(app, timeout_graceful_shutdown=1, **options))
     thread = threading.Thread(
         target=server.run, args=([listening],), name="pixsim explore", daemon=True
     )
-    number, name = tempfile.mkstemp(".html", "pixsim-explore-")  # of mode 0600
-    try:
-        with os.fdopen(number, "w", encoding="utf-8") as file:
-            file.write(_REDIRECT.format(url=html.escape(f"http://{_HOST}:{port}/#{token}")))
-        thread.start()
-        yield Path(name)
-    finally:
-        server.should_exit = True
-        if thread.is_alive():
-            thread.join(_FIRST_S)
-        listening.close()
-        Path(name).unlink(missing_ok=True)
+    remove_leftovers(Path(tempfile.gettempdir()))  # tokens of killed servers
+    with temporary_folder() as folder:
+        path = folder / "pixsim-explore.html"
+        number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            with os.fdopen(number, "w", encoding="utf-8") as file:
+                file.write(_REDIRECT.format(url=html.escape(f"http://{_HOST}:{port}/#{token}")))
+            thread.start()
+            yield path
+        finally:
+            server.should_exit = True
+            if thread.is_alive():
+                thread.join(_FIRST_S)
+            listening.close()
 
 
 def explore_until_closed(session: Session, opened: Callable[[Path], object] | None = None) -> None:

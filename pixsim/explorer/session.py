@@ -88,7 +88,7 @@ class PageRequest(NamedTuple):
             has_metrics = all(name in METRICS for name in request.metrics)
             if 1 <= len(sensors) <= MAX_SENSORS and has_metrics:
                 return request
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             pass  # no request
         raise invalid(
             "page", "a message that is no request", "what the page of this version of pixsim sends"
@@ -178,6 +178,9 @@ class Session:
                 words = (
                     str(error) or "out of memory: take larger pixels, or a smaller part of the die"
                 )
+                self.send({"number": request.number, "error": words})
+            except Exception as error:  # the other requests of the page still have an answer
+                words = f"unexpected {type(error).__name__}: {error}. This is a bug in pixsim"
                 self.send({"number": request.number, "error": words})
 
     def answer(self, request: PageRequest) -> None:

@@ -10,6 +10,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -23,11 +24,25 @@ from helpers.processes import HANG_S
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from pixsim.base.locks import UNFINISHED
 from pixsim.explorer import exploring, server
 from pixsim.explorer.session import Session
 
 SMALL = {"resolution": 64, "display": {"dots": 32}, "pixel": {"pitch_um": 42.4}}
 OPTIONS = "--resolution 64 --display.dots 32 --pixel.pitch-um 42.4 --no-browser"
+
+
+REQUEST = '{"number": %s, "sensors": [{"preset": %s, "set": {%s}}], "metrics": [], "curve": false}'
+BAD_REQUESTS = [
+    '{"number": 1}',
+    "no JSON",
+    "[" * 20_000,
+    REQUEST % ("1e999", 0, ""),
+    REQUEST % (1, "-1e999", ""),
+    REQUEST % (1, 10**400, ""),
+    REQUEST % (1, "1" * 5000, ""),
+    REQUEST % (1, 0, '"no.control": 1e999'),
+]
 
 
 def address_in(file: Path) -> tuple[int, str]:
@@ -43,11 +58,7 @@ def page_of(session: Session) -> Iterator[Any]:
         port, token = address_in(file)
         thread = threading.Thread(target=session.serve)
         thread.start()
-        deadline = time.monotonic() + HANG_S
-        while time.monotonic() < deadline:
-            with contextlib.suppress(ConnectionRefusedError):
-                connect_to(port, "127.0.0.1").close()
-                break
+        connect_to(port, "127.0.0.1").close()  # it listens before the file names it
         yield SimpleNamespace(file=file, port=port, token=token, thread=thread)
         session.end()
         thread.join(HANG_S)
@@ -126,8 +137,9 @@ def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
     with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
         opened.send(json.dumps({"token": page.token}))
         assert json.loads(opened.recv(timeout=HANG_S))["hello"]["title"] == "csf"
-        opened.send('{"number": 1}')
-        assert "no request" in json.loads(opened.recv(timeout=HANG_S))["error"]
+        for bad in BAD_REQUESTS:
+            opened.send(bad)
+            assert "page: got" in json.loads(opened.recv(timeout=HANG_S))["error"], bad[:80]
         opened.send(
             json.dumps(
                 {"number": 2, "sensors": [{"preset": 0, "set": {}}], "metrics": [], "curve": False}
@@ -137,6 +149,36 @@ def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
         while not (found and found[-1].get("done")):
             found.append(json.loads(opened.recv(timeout=HANG_S)))
         assert [message["sure"] for message in found if "sure" in message] == [False, True]
+
+
+def test_silent_connections_are_few_and_end(monkeypatch):
+    """Any user of the machine can connect; the open page stays served."""
+    monkeypatch.setattr(server, "_FIRST_S", 0.2)
+    with (
+        page_of(Session("csf", (), SMALL)) as page,
+        socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened,
+    ):
+        opened.send(json.dumps({"token": page.token}))
+        opened.recv(timeout=HANG_S)
+        silent = [socket.create_connection(("127.0.0.1", page.port)) for _ in range(200)]
+        for connection in silent:
+            connection.settimeout(HANG_S)
+            with contextlib.suppress(ConnectionError):  # it is one too many
+                connection.sendall(b"GET / HTTP/1.1\r\n")
+                assert connection.recv(1) == b""
+        opened.send("{}")
+        assert "no request" in json.loads(opened.recv(timeout=HANG_S))["error"]
+
+
+def test_file_of_a_killed_server_goes_at_the_next_start(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left = tmp_path / f"{UNFINISHED}0123abcd"
+    left.mkdir()
+    (left / "pixsim-explore.html").write_text("token")
+    with page_of(Session("csf", (), SMALL)) as page:
+        assert not left.exists()
+        assert page.file.parent.parent == tmp_path
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_closed_page_ends_the_session(monkeypatch):
