@@ -5,326 +5,209 @@ their closed forms.
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.tiny import tiny
-from pydantic import ValidationError
+from helpers.claims import check
+from helpers.statistics import check_mean, seeded
 
 import pixsim
 from pixsim.base.arrays import Array, stream
-from pixsim.base.errors import PixsimError
-from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.sensor.correction import (
-    correct,
-    flat_light_e,
-    outliers,
-    residual_variance_e2,
-    without_defects,
-)
+from pixsim.sensor.correction import correct, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, Sensor, capture_from_rates, sample_sensor
+from pixsim.sensor.readout import Sensor, capture_from_rates, sample_sensor
 
 SHAPE = (200, 250)
 TIME_S = 0.02
-# A clean pixel in which each kind of noise is visible, in a linear range: no clipping at 0 DN, no
+# A pixel in which each kind of noise is visible, in a linear range: no clipping at 0 DN, no
 # saturation.
 NOISY: dict[str, Any] = {
-    "pitch_um": 6.0, "full_well_e": 20000.0, "read_noise_e": 20.0, "dark_current_e_per_s": 5e4, "quantum_efficiency": 0.5,
-    "prnu": 0.02, "dsnu": 0.05, "offset_fpn": 0.003, "column_fpn": 0.002, "bits": 14, "black_level_dn": 800.0,
-}  # fmt: skip
-
-
-def pixel(**over: float) -> Readout:
-    return Readout.of(derive(Pixel(**NOISY | over)))
-
-
-def sensor_of(readout: Readout, shape: tuple[int, int] = SHAPE, seed: int = 0) -> Sensor:
-    return sample_sensor(readout, shape, np.random.default_rng(seed))
-
-
-def picture(sensor: Sensor, signal_e: float, correction: Correction, key: object = 0) -> Frame:
-    """An even picture, corrected."""
-    rate = np.full(sensor.shape, signal_e / TIME_S)
-    frame = capture_from_rates(rate, sensor, Exposure(integration_s=TIME_S), stream("picture", key))
-    return correct(frame, sensor, correction, stream("correction", key))
-
-
-def residual(frame: Frame, signal_e: float) -> Array:
-    return frame.estimate_e - signal_e
-
-
-CORRECTIONS: dict[str, dict[str, Any]] = {
-    "dark": {"dark_frames": 4},
-    "one dark": {"dark_frames": 1},
-    "flat": {"flat_frames": 8, "flat_level": 0.6},
-    "dark and flat": {"dark_frames": 4, "flat_frames": 4},
-    "rows": {"column_clamp": 16},
-    "rows, dark": {"column_clamp": 8, "dark_frames": 4},
-    "all": {"column_clamp": 8, "dark_frames": 4, "flat_frames": 8},
+    "pitch_um": 6.0,
+    "full_well_e": 20000.0,
+    "read_noise_e": 20.0,
+    "dark_current_e_per_s": 5e4,
+    "quantum_efficiency": 0.5,
+    "prnu": 0.02,
+    "dsnu": 0.05,
+    "offset_fpn": 0.003,
+    "column_fpn": 0.002,
+    "bits": 14,
+    "black_level_dn": 800.0,
 }
+CLEAN = dict.fromkeys(
+    ("read_noise_e", "dark_current_e_per_s", "prnu", "dsnu", "offset_fpn", "column_fpn"), 0.0
+)
+
+PLAIN = Exposure(integration_s=TIME_S)
+
+
+def sensor_of(shape: tuple[int, int] = SHAPE, **over: Any) -> Sensor:
+    return sample_sensor(Readout.of(derive(Pixel(**NOISY | over))), shape, seeded(0))
+
+
+def corrected_e(
+    sensor: Sensor,
+    signal_e: Any,
+    correction: Correction,
+    exposure: Exposure = PLAIN,
+    balance: Array | None = None,
+) -> Array:
+    """Corrected electrons of a picture with a mean signal."""
+    rate = np.broadcast_to(signal_e, sensor.shape) / TIME_S
+    frame = capture_from_rates(rate, sensor, exposure, stream("picture", 0))
+    return correct(frame, sensor, correction, stream("correction", 0), None, balance).estimate_e
 
 
 @pytest.mark.parametrize("signal_e", [0.0, 8000.0, 15000.0])
-@pytest.mark.parametrize("name", CORRECTIONS)
-def test_correct_leaves_the_closed_form(name: str, signal_e: float) -> None:
-    """Variance over pixels. Its relative standard error is √(2/50 000) = 0.63 %; with 250 columns,
-    that of a column's share 9 %.
-
-    Gate 4.5 standard errors, false alarm 7e-6 each. The closed form is of first order: PRNU² and
-    1/L beside 1 are 4e-4.
+@pytest.mark.parametrize(
+    "frames",
+    [
+        {"dark_frames": 4},
+        {"flat_frames": 8, "flat_level": 0.6},
+        {"dark_frames": 4, "flat_frames": 4},
+        {"column_clamp": 16},
+        {"column_clamp": 8, "dark_frames": 4, "flat_frames": 8},
+    ],
+)
+def test_correction_leaves_the_closed_form(frames: dict[str, Any], signal_e: float) -> None:
+    """Mean over columns, which are independent, of the squared residual; 5 standard errors: 6e-7
+    false alarms each. 4 % of a variance is outside, and what a column shares 20 %. The closed form
+    is of first order: PRNU² and 1/L beside 1 are 4e-4.
     """
-    readout, correction = pixel(), Correction(**CORRECTIONS[name])
-    found = residual(picture(sensor_of(readout), signal_e, correction, name), signal_e)
-    expected = residual_variance_e2(signal_e, TIME_S, readout, correction).total
-    # What all pixels of a column share has 250 values only.
-    rows = correction.column_clamp
-    dark_e = readout.dark_current_e_per_s * TIME_S
-    shared = (
-        (readout.physics.column_fpn_e**2 if not rows else 0.0)
-        if not correction.dark_frames
-        else 0.0
-    )
-    dark_pixel = (
-        readout.physics.reset_noise_e**2
-        + readout.read_noise_e**2
-        + dark_e
-        + readout.physics.offset_fpn_e**2
-        + (readout.physics.dsnu * dark_e) ** 2
-    )
-    shared += dark_pixel / rows if rows else 0.0
-    error = np.hypot(expected * np.sqrt(2 / found.size), shared * np.sqrt(2 / SHAPE[1]))
-    assert found.var() == pytest.approx(expected, abs=4.5 * error + 2e-3 * expected)
+    sensor = sensor_of()
+    correction = Correction(**frames)
+    squares = (corrected_e(sensor, signal_e, correction) - signal_e) ** 2
+    expected = residual_variance_e2(signal_e, TIME_S, sensor.readout, correction).total
+    check_mean("residual", squares.mean(axis=0) / expected, 1.0)
 
 
-@pytest.mark.parametrize("name", ["dark", "flat", "dark and flat"])
-def test_correct_at_gain_leaves_the_closed_form(name: str) -> None:
-    """Dark and flat frames have the gain of the picture, whatever that of the sensor; the read
-    noise behind it is a tenth.
-
-    Gate as above. At 0 dB the read noise would be 300 e-, and the flat level beyond the ADC's
-    range.
+@pytest.mark.parametrize("frames", [{"dark_frames": 4}, {"dark_frames": 4, "flat_frames": 4}])
+def test_correction_at_gain_leaves_the_closed_form(frames: dict[str, Any]) -> None:
+    """Dark and flat frames have the gain of the picture, whatever that of the sensor: at 0 dB the
+    read noise would be 300 e-, and the flat level beyond the ADC's range.
     """
-    own = pixel(dark_current_e_per_s=2e3, read_noise_after_gain_e=300.0, column_fpn=0.0)
-    correction, signal_e, exposure = (
-        Correction(**CORRECTIONS[name]),
-        700.0,
-        Exposure(integration_s=TIME_S, gain_db=20.0),
-    )
-    sensor, amplified, found = sensor_of(own), own.at(exposure), []
-    frame = capture_from_rates(np.full(SHAPE, signal_e / TIME_S), sensor, exposure, stream("gain"))
-    for each in (sensor, replace(sensor, readout=amplified)):
-        found.append(
-            residual(correct(frame, each, correction, stream("correction of gain")), signal_e)
-        )
-    np.testing.assert_array_equal(*found)
-    expected = residual_variance_e2(signal_e, TIME_S, amplified, correction).total
-    assert found[0].var() == pytest.approx(expected, rel=4.5 * np.sqrt(2 / found[0].size) + 4e-3)
-    assert residual_variance_e2(
-        0.0, TIME_S, amplified, Correction(dark_frames=1)
-    ).total == pytest.approx(
-        2
-        * (
-            20.0**2 + 30.0**2 + own.physics.reset_noise_e**2 + 40.0 + 1 / 12 / amplified.dn_per_e**2
-        ),
-        rel=1e-12,
-    )
+    noise = {"read_noise_after_gain_e": 300.0, "column_fpn": 0.0, "dark_current_e_per_s": 2e3}
+    sensor = sensor_of(**noise)
+    correction = Correction(**frames)
+    exposure = Exposure(integration_s=TIME_S, gain_db=20.0)
+    electrons = corrected_e(sensor, 700.0, correction, exposure)
+    amplified = replace(sensor, readout=sensor.readout.at(exposure))
+    np.testing.assert_array_equal(corrected_e(amplified, 700.0, correction, exposure), electrons)
+    expected = residual_variance_e2(700.0, TIME_S, amplified.readout, correction).total
+    check_mean("residual", (electrons - 700.0).ravel() ** 2 / expected, 1.0)
 
 
-def test_correct_removes_what_it_claims() -> None:
-    """More frames than pixels have noise leave the temporal noise of the picture alone, within
-    1 %.
-    """
-    readout, correction = pixel(), Correction(dark_frames=200, flat_frames=200)
-    signal_e = 8000.0
-    found = residual(picture(sensor_of(readout, (60, 80)), signal_e, correction), signal_e)
-    alone = residual_variance_e2(
-        signal_e, TIME_S, pixel(prnu=0, dsnu=0, offset_fpn=0, column_fpn=0), Correction()
-    ).total
-    uncorrected = residual_variance_e2(signal_e, TIME_S, readout, Correction()).total
-    assert uncorrected > 3 * alone
-    assert found.var() == pytest.approx(alone, rel=0.01 + 4.5 * np.sqrt(2 / found.size))
+def test_many_frames_leave_the_temporal_noise_alone() -> None:
+    """2.5 % of a variance is 1 % of 200 frames and 4 standard errors of 12 000 pixels."""
+    sensor = sensor_of((100, 120))
+    frames = Correction(dark_frames=200, flat_frames=200)
+    electrons = corrected_e(sensor, 8000.0, frames)
+    temporal = residual_variance_e2(8000.0, TIME_S, sensor.readout, Correction()).temporal
+    whole = residual_variance_e2(8000.0, TIME_S, sensor.readout, Correction()).total
+    assert whole > 3 * temporal
+    check("variance", electrons.var() / temporal, 1.0, atol=0.06, why="1 %, and 4 errors")
 
 
 def test_dark_frames_remove_a_clipped_dark_level() -> None:
     """Without a black level half of the dark noise is clipped, which brightens black; dark frames
     have the same mean.
-
-    The mean of 50 000 differences of two pixels' clipped noise: standard error below 0.3 e-; gate
-    4.5 of them.
     """
-    readout = pixel(black_level_dn=0.0, dark_current_e_per_s=0.0, offset_fpn=0.01)
-    sensor = sensor_of(readout)
-    plain = capture_from_rates(
-        np.zeros(SHAPE), sensor, Exposure(integration_s=TIME_S), stream("p")
-    ).estimate_e.mean()
-    found = residual(picture(sensor, 0.0, Correction(dark_frames=4)), 0.0)
-    assert plain > 40.0
-    assert abs(found.mean()) < 4.5 * found.std() / np.sqrt(found.size)
+    sensor = sensor_of(black_level_dn=0.0, dark_current_e_per_s=0.0, offset_fpn=0.01)
+    assert corrected_e(sensor, 0.0, Correction(flat_frames=1)).mean() > 40.0
+    check_mean("dark", corrected_e(sensor, 0.0, Correction(dark_frames=4)), 0.0)
 
 
 def test_flat_frames_keep_the_mean_and_the_scene() -> None:
-    """The mean response is 1, so that a picture's mean is its light; a scene with a gradient stays
-    one.
-    """
-    readout = pixel()
-    sensor = sensor_of(readout)
-    ramp = np.linspace(2000.0, 12000.0, SHAPE[1]) * np.ones((SHAPE[0], 1))
-    frame = capture_from_rates(
-        ramp / TIME_S, sensor, Exposure(integration_s=TIME_S), stream("ramp")
-    )
-    found = correct(
-        frame, sensor, Correction(dark_frames=16, flat_frames=16), stream("c")
-    ).estimate_e
-    spread = np.sqrt(
-        residual_variance_e2(
-            12000.0, TIME_S, readout, Correction(dark_frames=16, flat_frames=16)
-        ).total
-    )
-    assert (
-        np.abs(found.mean(axis=0) - ramp[0]).max() < 5 * spread / np.sqrt(SHAPE[0]) + 2e-3 * 12000
-    )  # the mean of 50 000 gains
+    """The mean response is 1, so that a picture's mean is its light; a gradient stays one."""
+    sensor = sensor_of()
+    ramp = np.linspace(2000.0, 12000.0, SHAPE[1])
+    correction = Correction(dark_frames=16, flat_frames=16)
+    columns = corrected_e(sensor, ramp, correction).mean(axis=0)
+    variance = residual_variance_e2(12000.0, TIME_S, sensor.readout, correction).total
+    tolerance = 5 * np.sqrt(variance / SHAPE[0]) + 2e-3 * 12000  # and the mean of 50 000 gains
+    check("columns", columns, ramp, atol=tolerance, why="5 standard errors of 200 rows")
 
 
-def test_correct_kinds_have_streams_of_their_own() -> None:
-    """Dark rows do not change the noise of the dark frames: with noiseless rows the results are
-    equal.
-    """
-    readout, off = (
-        pixel(),
-        {"dsnu": 0, "offset_fpn": 0, "read_noise_e": 0, "dark_current_e_per_s": 0, "column_fpn": 0},
-    )
-    quiet = pixel(**off, black_level_dn=100)
-    sensor = sensor_of(quiet, (20, 30))
-    one = picture(sensor, 5000.0, Correction(flat_frames=2)).estimate_e
-    other = picture(sensor, 5000.0, Correction(flat_frames=2, column_clamp=3)).estimate_e
-    np.testing.assert_allclose(one, other, rtol=1e-6)
-    again = picture(sensor_of(readout), 100.0, Correction(dark_frames=2)).estimate_e
-    np.testing.assert_array_equal(
-        again, picture(sensor_of(readout), 100.0, Correction(dark_frames=2)).estimate_e
-    )
-
-
-# --- defects
-# ----------------------------------------------------------------------------------------------------------
-
-
-def test_defects_take_the_mean_of_sound_neighbours() -> None:
-    values = np.arange(30.0).reshape(5, 6)
-    defects = np.zeros(values.shape, bool)
-    defects[2, 2] = defects[0, 0] = True
-    found = without_defects(np.where(defects, 1e6, values), defects)
-    assert found[2, 2] == pytest.approx((values[1:4, 1:4].sum() - values[2, 2]) / 8)
-    assert found[0, 0] == pytest.approx((1 + 6 + 7) / 3)
-    np.testing.assert_array_equal(found[~defects], values[~defects])
-    defects[1:4, 1:4] = True  # the middle one has sound pixels two away only
-    assert without_defects(np.where(defects, 1e6, values), defects)[2, 2] == pytest.approx(
-        np.mean(values[:, :5][~defects[:, :5]])
-    )
+def test_dark_rows_do_not_change_the_noise_of_other_frames() -> None:
+    """With rows that have no noise the results are equal."""
+    quiet = sensor_of((20, 30), **CLEAN | {"prnu": 0.02, "black_level_dn": 100})
+    plain = corrected_e(quiet, 5000.0, Correction(flat_frames=2))
+    clamped = corrected_e(quiet, 5000.0, Correction(flat_frames=2, column_clamp=3))
+    np.testing.assert_allclose(plain, clamped, rtol=1e-6)
 
 
 def test_defects_are_found_in_dark_and_flat_frames() -> None:
     """A hot pixel in dark frames, a dead one in flat frames; sound pixels are outliers with a
     probability of 2e-9.
     """
-    readout = pixel(dsnu=0.0)
-    sensor = sensor_of(readout)
+    sensor = sensor_of(dsnu=0.0)
     assert sensor.gain is not None
-    gain, hot = sensor.gain.copy(), np.zeros(SHAPE)
-    gain[10, 10] = 0.0
-    hot[50, 60] = 3000.0
     assert sensor.offset_e is not None
-    broken = replace(sensor, gain=gain, offset_e=sensor.offset_e + hot)
-    correction = {"dark_frames": 4, "flat_frames": 4}
-    kept = residual(picture(broken, 5000.0, Correction(**correction)), 5000.0)
-    mended = residual(picture(broken, 5000.0, Correction(**correction, defects=True)), 5000.0)
-    assert kept[10, 10] < -4000
-    assert abs(mended[10, 10]) < 500
-    others = np.ones(SHAPE, bool)
-    others[10, 10] = others[50, 60] = False
-    np.testing.assert_array_equal(mended[others], kept[others])
+    sensor.gain[10, 10] = 0.0
+    sensor.offset_e[50, 60] += 3000.0
+    frames = {"dark_frames": 4, "flat_frames": 4}
+    plain = corrected_e(sensor, 5000.0, Correction(**frames))
+    mended = corrected_e(sensor, 5000.0, Correction(**frames, defects=True))
+    assert plain[10, 10] < 1000 < 4500 < mended[10, 10] < 5500
+    changed = set(map(tuple, np.argwhere(plain != mended).tolist()))
+    assert changed == {(10, 10), (50, 60)}
 
 
-def test_outliers_of_equal_values_are_none() -> None:
-    assert not outliers(np.full((4, 4), 3.0), 0.1).any()
-    assert outliers(np.array([0.0] * 9 + [1.0]), 0.1).tolist() == [False] * 9 + [True]
+# --- Colour
+
+CHANNELS = {letter: [[nm, 0.5] for nm in range(400, 701, 10)] for letter in "RGB"}
+COLOUR = {"quantum_efficiency": None, "bits": 16, "colour": {"quantum_efficiencies": CHANNELS}}
 
 
-# --- its place in pixsim
-# ----------------------------------------------------------------------------------------------
+def balance_of(sensor: Sensor, levels: list[float]) -> Array:
+    layout = sensor.readout.physics.layout
+    assert layout is not None
+    return np.array(levels)[layout.numbers(sensor.shape)]
 
 
-def test_flat_level_below_dark_charge_raises() -> None:
-    readout = pixel(dark_current_e_per_s=9e5)
-    with pytest.raises(
-        PixsimError, match=r"correction.flat_level: got 0.5, with 18000 e- of dark charge"
-    ):
-        flat_light_e(readout, Correction(flat_frames=1), TIME_S)
+def test_flat_frames_leave_the_balance_of_the_channels() -> None:
+    """Corrected electrons keep each channel's own level, and PRNU of 10 % leaves shot noise."""
+    sensor = sensor_of((60, 60), **CLEAN | COLOUR | {"prnu": 0.1})
+    balance = balance_of(sensor, [0.5, 1.0, 0.7])
+    mean_e = 10_000.0 * balance
+    electrons = corrected_e(sensor, mean_e, Correction(flat_frames=400), balance=balance)
+    scores = (electrons - mean_e) / np.sqrt(mean_e)
+    assert scores.std() < 3
+    np.testing.assert_allclose(electrons[:2, :2], mean_e[:2, :2], rtol=0.05)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"defects": True},
-        {"dark_frames": -1},
-        {"flat_level": 0},
-        {"column_clamp": 1.5},
-        {"darks": 2},
-    ],
-)
-def test_correction_invalid_raises(wrong: dict[str, Any]) -> None:
-    with pytest.raises((ValidationError, PixsimError), match=next(iter(wrong))):
-        Correction(**wrong)
-
-
-def test_evaluate_off_is_as_before_and_on_is_better() -> None:
-    """Offsets of 1 % of the well on an even field: corrected, most of the error is gone; off, the
-    frame is the same.
+def test_defects_are_replaced_by_pixels_of_their_own_colour() -> None:
+    """A dead red pixel among green and blue ones; in blue light of 2 % of green's, noise that is
+    seven times as large relative to white, there are no other defects.
     """
-    light = pixsim.SpectralImage(
-        [550.0], 10.0, 20.0, data=np.full((40, 40, 1), 1e-3), header={"diffraction": False}
+    sensor = sensor_of((80, 80), **CLEAN | COLOUR | {"prnu": 0.01})
+    assert sensor.gain is not None
+    sensor.gain[6, 6] = 0.0
+    balance = balance_of(sensor, [0.25, 1.0, 0.02])
+    frames = {"flat_frames": 20}
+    plain = corrected_e(sensor, 8000.0 * balance, Correction(**frames), balance=balance)
+    mended = corrected_e(
+        sensor, 8000.0 * balance, Correction(**frames, defects=True), balance=balance
     )
-    camera, display = pixsim.Camera(die_mm=0.8), pixsim.Display(white_cd_per_m2=1000, dots=32)
-    noisy = pixsim.Pixel(pitch_um=20.0, offset_fpn=0.01, black_level_dn=200)
-    plain = pixsim.evaluate(light, camera, noisy, display=display)
-    off = pixsim.evaluate(light, camera, noisy, display=display, correction=Correction())
-    on = pixsim.evaluate(
-        light, camera, noisy, display=display, correction=Correction(dark_frames=16)
-    )
-    np.testing.assert_array_equal(plain.delta_e, off.delta_e)
-    np.testing.assert_array_equal(plain.frame.dn, on.frame.dn)
-    assert on.mean_delta_e < 0.6 * plain.mean_delta_e
+    assert mended[6, 6] == pytest.approx(2000.0, rel=0.1)
+    assert np.argwhere(plain != mended).tolist() == [[6, 6]]
 
 
-def test_study_with_correction_continues_from_its_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Cached frames keep their corrected electrons: another display gets the numbers of a study
-    without cache.
-    """
-    over: dict[str, Any] = {
-        "correction": {"dark_frames": 2, "column_clamp": 4},
-        "resolution": 48,
-        "camera": {"die_mm": 0.7},
+def test_an_evaluation_corrects_the_frame_that_it_would_take_without() -> None:
+    """Offsets of 1 % of the well on a uniform field: the frame is the same, the error smaller."""
+    data = np.full((40, 40, 1), 1e-3)
+    light = pixsim.SpectralImage([550.0], 10.0, 20.0, data=data, header={"diffraction": False})
+    setting = {
+        "camera": pixsim.Camera(die_mm=0.8),
+        "pixel": pixsim.Pixel(pitch_um=20.0, offset_fpn=0.01, black_level_dn=200),
+        "display": pixsim.Display(white_cd_per_m2=1000, dots=32),
     }
-    first = pixsim.study(tiny(**over), tmp_path / "a", jobs=1)
-    again = pixsim.study(tiny(**over, display={"gamma": 2.0}), tmp_path / "b", jobs=1)
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "empty"))
-    fresh = pixsim.study(tiny(**over, display={"gamma": 2.0}), tmp_path / "fresh", jobs=1)
-    np.testing.assert_array_equal(again.curves[0].delta_e, fresh.curves[0].delta_e)
-    plain = pixsim.study(tiny(**over | {"correction": {}}), tmp_path / "c", jobs=1)
-    assert (first.curves[0].delta_e != plain.curves[0].delta_e).all()
-
-
-def test_run_with_correction_states_it() -> None:
-    result = pixsim.run("csf", resolution=48, correction={"dark_frames": 2}, display={"dots": 32})
-    assert result.as_dict()["correction"]["dark_frames"] == 2
-    assert not [note for note in result.as_dict()["notes"] if note["id"] == "black_level"]
-    with pytest.raises(PixsimError, match="dark_frames or flat_frames above 0"):
-        pixsim.run("csf", correction={"defects": True})
+    plain = pixsim.evaluate(light, **setting)
+    corrected = pixsim.evaluate(light, **setting, correction=Correction(dark_frames=16))
+    np.testing.assert_array_equal(plain.frame.dn, corrected.frame.dn)
+    assert corrected.mean_delta_e < 0.6 * plain.mean_delta_e
