@@ -106,9 +106,9 @@ def interval(ends: tuple[float | None, float | None]) -> str:
     ('2.5 to 3.0 µm', 'below 3.01 µm', '1 to 5 µm')
     """
     low, high = ends
-    if low is None and high is None:
-        return "no limit among the sizes tried"
     if low is None:
+        if high is None:
+            return "no limit among the sizes tried"
         return f"below {_micrometres(high)} µm"
     if high is None:
         return f"above {_micrometres(low)} µm"

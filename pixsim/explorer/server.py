@@ -102,7 +102,8 @@ class _BoundedProtocol(H11Protocol):
         self.loop.call_later(_FIRST_S, self._close_if_silent)
 
     def _close_if_silent(self) -> None:
-        if self.scope is None:  # no whole request has come
+        has_request = bool(self.scope)
+        if not has_request:
             self.transport.abort()
 
 

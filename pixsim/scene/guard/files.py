@@ -240,7 +240,7 @@ def _without_comments(text: str) -> str:
     """Return a text without comments, in which Mitsuba's parser accepts two hyphens and XML does
     not.
     """
-    pieces = []
+    pieces: list[str] = []
     position = 0
     while True:
         start = text.find("<!--", position)
