@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 from helpers.chains import imaging
 from helpers.public_names import PUBLIC
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BaseModel
 from typing_extensions import TypeAliasType
 
@@ -438,12 +438,6 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("label", JUNK)
-def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=r"result: got .*; allowed: a Result"):
-        pixsim.write_report(JUNK[label], tmp_path / "out")
-
-
 @pytest.mark.parametrize(
     ("argument", "value"), [("folder", 3), ("figures", "png"), ("seconds", 1.5)]
 )
@@ -511,18 +505,6 @@ def test_numbers_that_no_quantity_has_are_refused(kind: Any, values: Any, said: 
     value_of.__annotations__ = {"light": kind}
     with pytest.raises(PixsimError, match=f"^light: {re.escape(said)}"):
         door.checked(value_of, "pixsim.value_of")(values)
-
-
-def test_numbers_at_the_ends_are_taken() -> None:
-    """Those of arrays may be however small: tails of a blur, and faint light."""
-
-    def value_of(light: Finites, gain: float, full: NDArray[np.bool_]) -> Any:
-        return light, gain, full
-
-    light, gain, full = door.checked(value_of, "pixsim.value_of")(
-        [1e30, 1e-40, np.ma.array([2.0], mask=[False])[0]], 1e-30, [True]
-    )
-    assert (light.tolist(), gain, full.tolist()) == ([1e30, 1e-40, 2.0], 1e-30, [True])
 
 
 def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> None:

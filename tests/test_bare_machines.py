@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from helpers import systems
-from helpers.commands import command, forked
+from helpers.commands import command
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -50,12 +50,6 @@ def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPa
     finally:
         processes_work.cache_clear()
     assert results == [(0, os.getpid()), (2, os.getpid()), (4, os.getpid())]
-
-
-@pytest.mark.parametrize("columns", ["0", "1", "-5", "wide", ""])
-def test_help_has_some_columns(columns: str) -> None:
-    code, out, _ = forked("run --help", COLUMNS=columns)
-    assert (code, "--repeats" in out, max(map(len, out.splitlines())) >= 39) == (0, True, True)
 
 
 def test_few_open_files_are_a_message(tmp_path: Path) -> None:
@@ -153,21 +147,6 @@ def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path
     )
     assert "WSL" in refused
     assert "Measure the SFR" in done.stdout, "--help"
-
-
-def test_names_that_windows_lacks_are_hidden_from_pixsim_alone() -> None:
-    hidden = systems.missing("os", systems.WINDOWS)
-    assert hidden is not None
-    assert {"fork", "sched_getaffinity", "geteuid", "O_NOFOLLOW"} <= hidden
-    assert not {"open", "getpid", "replace", "O_EXCL"} & hidden
-    assert {"SIGKILL", "SIGHUP", "setitimer"} <= (
-        systems.missing("signal", systems.WINDOWS) or frozenset()
-    )
-    assert [
-        systems.missing(name, systems.WINDOWS)
-        for name in ("fcntl", "resource", "termios", "pwd", "grp")
-    ] == [None] * 5
-    assert systems.missing("json", systems.WINDOWS) == frozenset()
 
 
 LIGHT = Path(__file__).parent / "data" / "release_1_0_0" / "run" / "irradiance.exr"

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 import warnings
 from itertools import pairwise
 from pathlib import Path
@@ -18,13 +17,12 @@ from helpers.commands import command
 from helpers.tiny import rows, tiny, tiny_toml, toml_of
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.toml import read_toml
 from pixsim.cli.options import SceneOptions
 from pixsim.measure.datasheet import datasheet_settings, make_datasheet
 from pixsim.report.study import settings as settings_tables
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel_options import Pixel, is_data_sheet
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.design import technology_of
@@ -240,18 +238,6 @@ def test_packaged_sensor_is_its_file_wherever_a_settings_file_stands() -> None:
     assert datasheet_settings(name, [], None, None, None).pixel == expected
 
 
-def test_unknown_name_of_a_sensor_names_the_packaged_ones() -> None:
-    with pytest.raises(
-        PixsimError,
-        match=r"got 'imx36'; allowed: a TOML file, or a packaged sensor: imx363, imx477",
-    ):
-        run_settings("imx36", {})
-    with pytest.raises(
-        PixsimError, match=r"sensor: got 'imx36'; allowed: .*imx363.* Did you mean 'imx363'"
-    ):
-        sensor_layer("imx36")
-
-
 def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
     """Symbol of the data sheet -> the number that was given."""
     nm = PUBLISHED[name]
@@ -307,39 +293,9 @@ def test_datasheet_returns_published_numbers(name: str) -> None:
     assert [pixels_along(1e3 * side_mm, pixel.pitch_um) for side_mm in die_mm] == [columns, rows]
 
 
-def test_datasheet_of_bounded_noise_with_more_bits_returns_it() -> None:
-    """The sheet whose noise 10 bits hide: 12 bits show it."""
-    pixel = SceneOptions([SHEETS / "thorlabs_cs165.toml"]).settings(pixel={"bits": 12}).pixel
-    sheet = make_datasheet(pixel)
-    assert not sheet.transfer.limited
-    assert sheet.transfer.dark_noise_e.value == pytest.approx(4.0, rel=WITHIN)
-
-
 def test_published_sheets_have_no_unit_slips() -> None:
     for path in SHEETS.glob("*.toml"):
         assert not unit_slips(SceneOptions([path]).settings().pixel), path.name
-
-
-def test_sheets_in_docs_have_no_unit_slips() -> None:
-    pages = (Path(__file__).parents[1] / "docs").rglob("*.md")
-    blocks = [
-        text
-        for page in pages
-        for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    ]
-    of_pixels = [tomllib.loads(text).get("pixel", {}) for text in blocks]
-    tables = [
-        {name: value for name, value in table.items() if name != "uncertainty"}
-        for table in of_pixels
-    ]
-    sheets = [
-        Pixel(**table)
-        for table in tables
-        if is_data_sheet(table, "pitch_um") and isinstance(table.get("quantum_efficiency"), float)
-    ]
-    assert len(sheets) > 3, "those of first_sensor.md and others"
-    for pixel in sheets:
-        assert not unit_slips(pixel), pixel
 
 
 UNITS: dict[str, Any] = SHEET | {"full_well_e": 12.0, "prnu": 0.2}
@@ -387,36 +343,6 @@ def test_unit_slips_are_noted_by_every_entry(
         for warning in caught
         if "pixel: " in str(warning.message)
     ] == wanted
-
-
-def test_compare_names_the_sensor_of_a_unit_slip_or_unused_uncertainty(tmp_path: Path) -> None:
-    files = [file_of(tmp_path / "good.toml", SHEET), file_of(tmp_path / "bad.toml", GAIN)]
-    with files[1].open("a", encoding="utf-8") as file:
-        file.write("[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n")
-    with warnings.catch_warnings(record=True, action="always"):
-        result = pixsim.compare(files, repeats=2, jobs=1, resolution=48, display={"dots": 32})
-    (note,) = [note for note in result.notes if "is unusual" in note]
-    assert (
-        note
-        == "bad: pixel: gain_e_per_dn = 0.4 is unusual. In DN per electron? Write dn_per_e = 0.4"
-    )
-    (note,) = [note for note in result.notes if "uncertainty" in note]
-    assert (
-        note
-        == "bad.toml: [pixel.uncertainty] of read_noise_e is not used: it is used with uncertainty"
-        " only"
-    )
-
-
-@pytest.mark.parametrize(
-    ("pitch_um", "hint"), [(3450.0, " In nm? Write pitch_um = 3.45."), (99.0, "")]
-)
-def test_pitch_beyond_the_die_raises_with_other_unit(pitch_um: float, hint: str) -> None:
-    with pytest.raises(
-        pixsim.PixsimError,
-        match=rf"got {pitch_um:g}; allowed: at most the die, 90 µm\.{re.escape(hint)}$",
-    ):
-        pixels_along(90.0, pitch_um)
 
 
 # --- Several sensors

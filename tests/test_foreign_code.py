@@ -18,7 +18,6 @@ from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
 import pixsim
-from pixsim.base.children import without_empty_parts
 from pixsim.cli.commands import app
 
 HOME = str(Path(pixsim.__file__).parents[1])
@@ -154,15 +153,6 @@ def test_empty_parts_of_variables_are_not_the_current_folder(folder: Path) -> No
         timeout=HANG_S,
     )
     assert (done.stdout, log.exists()) == ("[1, 2, 3]\n", False), done.stderr
-
-
-def test_without_empty_parts_keeps_the_others() -> None:
-    assert [without_empty_parts(text) for text in ("", ":", ":/a::b:", ".:/a")] == [
-        "",
-        "",
-        "/a:b",
-        ".:/a",
-    ]
 
 
 MINE = "def double(task, _):\n    return 2 * task\n"

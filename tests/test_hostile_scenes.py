@@ -221,13 +221,6 @@ def test_other_encoding_is_refused(encoding, tmp_path):
         open_scene(tmp_path / "scene.xml", {})
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "UTF-8", "US-ASCII", "latin1", "utf-7"])
-def test_utf_8_is_read(encoding, tmp_path):
-    assert open_scene(
-        scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}
-    ).text.startswith("<scene")
-
-
 @pytest.mark.parametrize("version", ["0.5.0", "1.9.9", "3", "x", ""])
 def test_old_version_is_refused(version, tmp_path):
     with pytest.raises(PixsimError, match=r"allowed: 2\.0\.0 or newer"):
@@ -298,28 +291,6 @@ def test_refused_with_its_reason(what, tmp_path):
     with pytest.raises(PixsimError, match=words) as error:
         load(scene_of(tmp_path, body))
     assert str(error.value).isprintable()
-
-
-def test_parameter_of_a_wrong_value_is_named(tmp_path):
-    body = (
-        '<default name="size" value="1"/><shape type="sphere"><float name="radius"'
-        ' value="$size"/></shape>'
-    )
-    with pytest.raises(
-        PixsimError,
-        match=r"In line 1 of 'scene\.xml': could not parse floating point value 'no number'",
-    ):
-        load(scene_of(tmp_path, body), size="no number")
-
-
-def test_nested_defaults_take_no_time(tmp_path):
-    """Each of 500 names the one before: 90 s in the past."""
-    body = '<default name="p0" value="x"/>' + "".join(
-        f'<default name="p{n}" value="$p{n - 1}x"/>' for n in range(1, 500)
-    )
-    start = time.process_time()
-    assert open_scene(scene_of(tmp_path, body), {}).defaults["p499"] == "x" * 500
-    assert time.process_time() - start < 5
 
 
 @pytest.mark.parametrize("kind", PLUGINS)
@@ -874,21 +845,6 @@ def test_plan_opens_no_file_of_a_scene(tmp_path):
         pixsim.render(scene)
 
 
-def test_negative_texels_are_refused_whatever_the_name_of_the_file(tmp_path):
-    """Mitsuba reads a picture by its content."""
-    from pixsim.light.exr import write_channels
-
-    write_channels(
-        tmp_path / "a.exr", {name: np.full((2, 2), -1, np.float32) for name in "RGB"}, {}
-    )
-    (tmp_path / "a.exr").rename(tmp_path / "a.png")
-    body = SPHERE.format(NAMED["png"][1].format("a.png"))
-    with pytest.raises(
-        PixsimError, match=r"texture '.*a\.png': got .*-1.*; allowed: finite texels of 0 or more"
-    ):
-        rendered(scene_of(tmp_path, body))
-
-
 def test_memory_of_the_child_is_bounded(tmp_path):
     """In proportion to the scene's files, beyond what it has mapped when Mitsuba is loaded."""
     (tmp_path / "a.ply").write_bytes(PLY)
@@ -899,20 +855,6 @@ def test_memory_of_the_child_is_bounded(tmp_path):
     assert (
         min(room_bytes, memory().total) < limit_bytes < room_bytes + (2 << 30)
     )  # Mitsuba and LLVM map less than 1 GiB
-
-
-def test_error_within_the_child_is_an_error_here(tmp_path):
-    numbers = '<string name="wavelengths" value="500"/><string name="values" value="1"/>'
-    table = f'<spectrum type="irregular" name="reflectance">{numbers}</spectrum>'
-    with pytest.raises(PixsimError, match="Mitsuba cannot load or render the scene"):
-        pixsim.render(
-            load(scene_of(tmp_path, SPHERE.format(f'<bsdf type="diffuse">{table}</bsdf>')))
-        )
-    assert ChildTracer(job_of(tmp_path)).trace(0, film_of(), "multijitter", 4, 0).shape == (
-        SIDE,
-        SIDE,
-        1,
-    )
 
 
 def stopped(folder: Path) -> int:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import json
 import os
 import random
 import re
@@ -28,7 +27,7 @@ from helpers.forks import Forked
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
-from pixsim.base.errors import PixsimError, UnwritableError
+from pixsim.base.errors import UnwritableError
 from pixsim.base.files import (
     FILE_LIST,
     FOLDER_VARIABLE,
@@ -37,7 +36,7 @@ from pixsim.base.files import (
     read_file_list,
     replacing,
 )
-from pixsim.base.locks import LOCK, UNFINISHED, locked_folder, temporary_folder, unfinished
+from pixsim.base.locks import LOCK, UNFINISHED, temporary_folder, unfinished
 from pixsim.report.commands.study import reported_saved_rows
 from pixsim.studies.table import COLUMNS, Store
 
@@ -371,35 +370,6 @@ def test_signal_beside_files_leaves_all_or_none(
     assert not list((tmp_path / "tmp").iterdir())
 
 
-ENTERED = """
-import contextlib, json, os, pathlib, signal
-from pixsim.base.files import replacing
-from pixsim.cli.process import interruption
-
-def pushed(self, *args):
-    signal.raise_signal(signal.SIGTERM)
-    return original(self, *args)
-
-original = contextlib.ExitStack._push_cm_exit
-contextlib.ExitStack._push_cm_exit = pushed
-interruption.guard()
-interruption.begin()
-try:
-    with contextlib.ExitStack() as files:
-        files.enter_context(replacing(pathlib.Path("out.txt")))
-        while True:
-            pass
-except KeyboardInterrupt:
-    print(json.dumps(os.listdir()))
-"""
-
-
-def test_signal_while_a_stack_enters_a_file_leaves_none(tmp_path: Path) -> None:
-    process = forked(ENTERED, tmp_path)
-    out, err = process.communicate(timeout=HANG_S)
-    assert (sorted(json.loads(out)), err) == (["tmp"], "")
-
-
 # --- Killed
 # --------------------------------------------------------------------------------------------------------------
 
@@ -559,20 +529,6 @@ def test_command_refuses_folder_in_use(
         assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before == [LOCK]
 
 
-def test_locked_folder_again_in_thread_and_after(tmp_path: Path) -> None:
-    with locked_folder(tmp_path), locked_folder(tmp_path):
-        pass
-    with (
-        in_use(tmp_path),
-        pytest.raises(PixsimError, match="in use by another process"),
-        output_folder(tmp_path),
-    ):
-        pass
-    with output_folder(tmp_path):
-        assert [path.name for path in tmp_path.iterdir()] == [LOCK]
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
 def test_without_locks_nothing_is_refused_or_removed(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -685,26 +641,6 @@ def test_command_deleted_current_folder(
     assert_refused(*command(line), ["current folder: got one that is gone", "cd ~"])
 
 
-@pytest.mark.slow  # it imports Dask; test_engine tries such addresses in one process
-def test_scheduler_without_port_says_so(tmp_path: Path) -> None:
-    """In a process of its own: Dask reports the end of a client that could not connect when Python
-    ends.
-    """
-    pytest.importorskip(
-        "distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')"
-    )
-    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
-    process = started("study tiny.toml --scheduler x --out out", tmp_path)
-    out, err = process.communicate(timeout=HANG_S)
-    assert_refused(
-        process.returncode,
-        out,
-        err,
-        ["--scheduler: got 'x'", "allowed: the address of a running Dask scheduler"],
-    )
-    assert not (tmp_path / "out").exists()
-
-
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
     row, results = dict.fromkeys(COLUMNS, "1"), Store(tmp_path / "results.csv")
     kept = (
@@ -776,18 +712,3 @@ def test_publishing_on_a_disk_without_room_for_a_folder_moves_no_file(
     ):
         write("after")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_replacing_full_disk_names_file(tmp_path: Path) -> None:
-    pattern = r"No space left on device.*a\.txt'"
-    with pytest.raises(OSError, match=pattern), replacing(tmp_path / "a.txt"):
-        Path("/dev/full").write_text("a")
-    assert not list(tmp_path.iterdir())
-
-
-def test_publishing_other_errors_pass(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), publishing(tmp_path):
-        (tmp_path / "nothing").read_text()
-    with pytest.raises(PixsimError, match=r"^mine$"), publishing(tmp_path):
-        raise PixsimError("mine")

@@ -15,9 +15,7 @@ from typing import Any
 import pytest
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.light.curves import AS_CURVES, as_quantum_efficiency
-from pixsim.light.foreign import parse_light_unit
 from pixsim.optics.chief_rays import as_chief_ray_angles
 from pixsim.optics.exchange import read_irradiance
 from pixsim.optics.glass import read_catalogue
@@ -115,10 +113,3 @@ def assert_refused_soon(kind: str, text: str, folder: Path) -> None:
         read(str(path))
     assert time.process_time() - start < MOST_CPU_S
     assert len(str(refused.value)) < LONGEST_MESSAGE
-
-
-def test_a_long_unit_is_no_unit() -> None:
-    start = time.process_time()
-    with pytest.raises(PixsimError, match="a text of 2000000 characters"):
-        parse_light_unit("W/" * 1_000_000)
-    assert time.process_time() - start < MOST_CPU_S

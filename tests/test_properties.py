@@ -14,14 +14,13 @@ import typing
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 from unittest.mock import patch
 
 import annotated_types
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from pydantic import BaseModel, ValidationError
 
@@ -31,23 +30,14 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.problems import explain
 from pixsim.base.records import Record
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import (
-    MISMATCH,
-    STANDS_FOR,
-    DarkCurrent,
-    Pixel,
-    PixelOptions,
-    excluded_by,
-)
+from pixsim.sensor.pixel_options import MISMATCH, STANDS_FOR, DarkCurrent, Pixel, excluded_by
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 from pixsim.sensor.technology import Junction, Technology, load_technology
-from pixsim.studies.settings import PitchRange
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.setting import Effort
 
 REPEATABLE = {
     "derandomize": True,
@@ -453,105 +443,3 @@ def test_evaluate_same_seed_is_identical(chain: dict[str, Any]) -> None:
         one, same = (pixsim.evaluate(**records_of(chain)) for _ in range(2))
         np.testing.assert_array_equal(one.frame.dn, same.frame.dn)
         np.testing.assert_array_equal(one.delta_e, same.delta_e)
-
-
-# --- Invalid values ---
-
-OPTIONAL_FIELDS = (
-    Camera,
-    CameraOptions,
-    Pixel,
-    PixelOptions,
-    Exposure,
-    Display,
-    Effort,
-    PitchRange,
-)
-RECORDS: dict[type[Record], dict[str, Any]] = {record: {} for record in OPTIONAL_FIELDS} | {
-    Junction: load_technology("0.35um").junction.model_dump(),
-    Technology: load_technology("0.35um").model_dump(),
-}
-FIELDS = [
-    (record, name) for record in RECORDS for name in record.model_fields if number_of(record, name)
-]
-
-
-@pytest.mark.parametrize(
-    ("record", "name"), FIELDS, ids=lambda part: getattr(part, "__name__", part)
-)
-def test_record_number_outside_bounds_raises(record: type[Record], name: str) -> None:
-    number = number_of(record, name)
-    assert math.isfinite(number.low)
-    assert math.isfinite(number.high)
-    beyond = [-1.0, 2 * number.high + 1, math.nan, math.inf, -math.inf, 1e308, -5e-324, 10**400]
-    beyond += [number.low] if number.open_low else [number.low - 1e-9 * (1 + abs(number.low))]
-    for value in [
-        *beyond,
-        "wide",
-        "",
-        [],
-        {},
-        [1.0],
-        True,
-        1j,
-        object(),
-        b"\xff",
-        *([] if number.optional else [None]),
-    ]:
-        with pytest.raises(ValidationError) as error:
-            record.model_validate(RECORDS[record] | {name: value})
-        message = explain(error.value)
-        assert message.startswith(f"{name}: got ")
-        assert "; allowed: " in message
-
-
-def test_record_invalid_choice_lists_choices() -> None:
-    named = [
-        (record, name)
-        for record in RECORDS
-        for name in record.model_fields
-        if choices_of(record, name)
-    ]
-    assert len(named) > 8
-    for record, name in named:
-        values = [
-            "round",
-            3,
-            ["linear"],
-            math.nan,
-            *([] if record.model_fields[name].default is None else [None]),
-        ]
-        for value in values:
-            with pytest.raises(ValidationError) as error:
-                record.model_validate(RECORDS[record] | {name: value})
-            assert all(str(choice) in explain(error.value) for choice in choices_of(record, name))
-    with pytest.raises(PixsimError, match=r"technology: got 'plastic'; allowed: .*0\.35um"):
-        derive(Pixel(technology="plastic"))
-
-
-JUNK = st.recursive(
-    st.one_of(
-        st.none(),
-        st.booleans(),
-        st.floats(),
-        st.integers(),
-        st.text(max_size=8),
-        st.binary(max_size=4),
-    ),
-    lambda inside: st.one_of(
-        st.lists(inside, max_size=2), st.dictionaries(st.text(max_size=3), inside, max_size=2)
-    ),
-    max_leaves=3,
-)
-
-
-@settings(max_examples=150, **REPEATABLE)
-@given(st.sampled_from(FIELDS), JUNK)
-def test_record_any_value_is_within_bounds_or_raises(
-    field: tuple[type[Record], str], junk: object
-) -> None:
-    record, name = field
-    number = number_of(record, name)
-    with suppress(ValidationError):
-        value = getattr(record.model_validate(RECORDS[record] | {name: junk}), name)
-        assert (value is None and number.optional) or number.low <= value <= number.high
