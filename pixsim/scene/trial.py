@@ -66,7 +66,7 @@ def trial_render(variant: str | None = None, *, limit_s: float) -> Trial:
             errors="replace",
         )
     except subprocess.TimeoutExpired:
-        return Trial(f"hangs: stopped after {limit_s:.0f} s", limit_s)
+        return Trial(f"hangs: stopped after {limit_s:g} s", limit_s)
     seconds = time.perf_counter() - start_s
 
     if done.returncode:

@@ -2,10 +2,8 @@
 
 import json
 import re
-import shlex
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -89,8 +87,7 @@ INVALID = {
     "run flat --config not.toml": ["not.toml", "line 1", "TOML"],
     "run flat --camera.fnumber 4": ["--camera.fnumber", "--camera.f-number"],
     "run flat -D resolution": ["-D", "resolution", "name=value"],
-    "run flat -D resolution=wide": ["wide", "integer"],
-    "run flat -D fov=0": ["fov", "0"],
+    "run flat -D resolution=wide": ["resolution: got 'wide'"],
     f"run flat {SMALL} -D emitter_scale=-1": ["-1"],
     f"run flat {SMALL} --out taken": ["taken", "cannot be written", "--out"],
     f"run flat {SMALL} --out /proc/pixsim": ["/proc/pixsim", "cannot be written", "--out"],
@@ -103,11 +100,6 @@ INVALID = {
     "run sheet.toml": ["a TOML file", "pixsim run csf --config"],
     "run": ["SCENE"],
     "run cfs": ["Did you mean 'csf'?"],
-    "run csf --camera.f-number 3,75": ["camera.f_number: got '3,75'; allowed: a valid number."],
-    "run csf --pixel.pitch-um 6.5um": ["got '6.5um'; allowed: a valid number.\n"],
-    "run csf --camera.focal-length-mm f/4": ["got 'f/4'; allowed: a valid number.\n"],
-    "run csf --pixel.bits 10bit": ["got '10bit'; allowed: a valid integer."],
-    "run csf --display.dots 5,5": ["got '5,5'; allowed: a valid integer.\n"],
     "run csf --variant cuda_spectral": ["Did you mean 'cuda_ad_spectral'?"],
     "look": ["look", "run, explore, plan, study, compare, accuracy, datasheet, lens"],
     "study nowhere": ["nowhere", "chen2000"],
@@ -119,7 +111,6 @@ INVALID = {
         "sheet_key.toml: exposure.max_integration",
         "max_integration_s",
     ],
-    "study pixel-size --config sheet.toml --render-noise 0": ["render_noise", "1e-06"],
     "study study_errors.toml": [
         *(
             "study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.",
@@ -136,12 +127,8 @@ INVALID = {
     "datasheet nothing": ["technology: got 'nothing'"],
     "datasheet --pixel.bits 2": ["pixel.bits: got 2"],
     "datasheet --wavelength-nm 2000": ["--wavelength-nm: got 2000"],
-    "datasheet --wavelength-nm nan": [
-        "--wavelength-nm: got nan; allowed: a wavelength with a response, such as"
-    ],
     "lens": ["FILE"],
     "lens phone --f-number 2.8": ["f_number: got 2.8", "at least 3.5, the widest of 'phone'"],
-    "lens phone --focal-length-mm -5": ["--focal-length-mm: got -5", "above 0"],
     "lens phone --field-deg 80": [
         "field_deg: got",
         "where the chief ray",
@@ -150,19 +137,13 @@ INVALID = {
     f"lens phone{' --wavelength-nm 500' * 25}": [
         "--wavelength-nm: got 25 of them; allowed: at most 24"
     ],
-    "lens phone --focus-nm nan": ["--focus-nm: got nan; allowed: a number above 0"],
-    "lens phone --reflectance 2": ["--reflectance: got 2; allowed: a number from 0 to below 1"],
-    "sfr edge.exr --saturation nan": ["--saturation: got nan; allowed: a finite number"],
     "study chen2000 --quick --uncertainty 8 --smaller-than nan": [
         "--smaller-than: got nan; allowed: a size above 0 µm"
     ],
-    "lens phone --configuration two": ["configuration: got 'two'"],
-    "lens phone --semi-diameters yes": ["semi_diameters: got 'yes'; allowed: 'ignore' or 'clip'"],
     "lens phone --glass-catalogues none.agf": ["none.agf"],
     "lens phone --out taken": ["taken", "cannot be written", "--out"],
     "datasheet 0.35um --out taken": ["taken", "cannot be written", "--out"],
     "accuracy csf --quick --out taken": ["taken", "cannot be written", "--out"],
-    "doctor --limit-s 0": ["--limit-s: got 0; allowed: a number above 0"],
     "template lens": ["kind: got 'lens'; allowed: sensor or study"],
     "template sensor -o key.toml": ["key.toml", "exists already"],
     "template sensor -o a.txt": ["a.txt", ".toml"],
@@ -193,11 +174,8 @@ def test_run_failure_preserves_earlier_results(desk: Path) -> None:
     assert contents(desk) == before
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["run flat -D chart=nan.exr", pytest.param("run perspective.xml", marks=pytest.mark.slow)],
-)
-def test_installed_command_invalid_input_gives_same_message(line: str, desk: Path) -> None:
+def test_installed_command_invalid_input_gives_same_message(desk: Path) -> None:
+    line = "run flat -D chart=nan.exr"
     before = contents(desk)
     code, out, err = forked(line)
     # Without LLVM every command warns that it renders with scalar_spectral.
@@ -313,71 +291,20 @@ def test_run_raw_exr_holds_digital_numbers(picture: Path) -> None:
     assert electrons == pytest.approx(score["mean_electrons_e"], rel=2e-4)
 
 
-ONE_CORE = """
-import os, sys
-os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from pixsim.cli import main
-main()
-"""
-
-
-@pytest.mark.slow  # test_render_threads_are_bit_identical has the render
-def test_run_is_reproducible_on_one_core_and_elsewhere(
-    desk: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    elsewhere = tmp_path_factory.mktemp("elsewhere")
-    line = f"run csf {SMALL} --seed 3 --out "
-    assert command(line + "here")[0] == 0
-    subprocess.run(
-        [sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")],
-        cwd=elsewhere,
-        check=True,
-        timeout=HANG_S,
-    )
-    here, there = contents(desk / "here"), contents(elsewhere / "there")
-    assert here.keys() == there.keys() == RUN_FILES
-    assert [name for name in here if here[name] != there[name]] in (
-        [],
-        ["pixsim.json"],
-    )  # it contains times
-    assert command(f"run csf {SMALL} --seed 4 --out other")[0] == 0
-    assert contents(desk / "other")["raw.exr"] != here["raw.exr"]
-
-
-def test_run_config_precedence(desk: Path) -> None:
-    Path("first.toml").write_text(
-        "seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n[scene]\nresolution"
-        " = 32"
-    )
-    Path("second.toml").write_text(
-        "[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4"
-    )
-    with warnings.catch_warnings(action="always"):
-        code, out, err = command(
-            "run flat --config first.toml --config second.toml --pixel.pitch-um 10 -D resolution=64"
-            " --json"
-        )
+def test_options_and_later_files_take_precedence(desk: Path) -> None:
+    first = "seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n"
+    Path("first.toml").write_text(first + "[scene]\nresolution = 32\n", encoding="utf-8")
+    second = "[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4\n"
+    Path("second.toml").write_text(second, encoding="utf-8")
+    files = "--config first.toml --config second.toml"
+    code, out, err = command(f"run flat {files} --pixel.pitch-um 10 -D resolution=64 --json")
     assert code == 0, err
     score = json.loads(out)
-    pixel, irradiance = score["pixel"], score["irradiance"]
-    assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"]) == (
-        10,
-        0,
-        12,
-    )  # option, second file, first file
-    assert irradiance["parameters"] == {"resolution": "64", "spp": "4"}
-    assert (irradiance["camera"]["f_number"], score["seed"], score["display"]["dots"]) == (
-        2.8,
-        5,
-        32,
-    )
-    assert (irradiance["camera"]["focal_length_mm"], pixel["technology"]) == (
-        3.86,
-        "0.35um",
-    )  # the scene's, the default
-    assert {
-        path.name for path in (desk / "pixsim-out/flat").iterdir()
-    } == RUN_FILES  # the default folder
+    pixel = score["pixel"]
+    assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"], score["seed"]) == (10, 0, 12, 5)
+    assert score["irradiance"]["parameters"] == {"resolution": "64", "spp": "4"}
+    assert score["irradiance"]["camera"]["f_number"] == 2.8
+    assert {path.name for path in (desk / "pixsim-out/flat").iterdir()} == RUN_FILES
 
 
 @pytest.mark.parametrize("kind", ["csf", "flat", "siemens_star", "slanted_edge", "target"])
@@ -436,16 +363,3 @@ sys.argv = ["pixsim", "--help"]
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S
     )
     assert done.stdout.endswith("slow: []\n")
-
-
-def test_cameras_are_listed_with_what_they_are() -> None:
-    code, out, _ = command("cameras")
-    assert code == 0
-    assert re.search(
-        r"^Canon_EOS_R5 +measured +RGB +380-780 nm, peaks .*Canon EOS R5$", out, re.MULTILINE
-    )
-    assert re.search(r"^Nikon_D5100 +measured.*ratio between channels lost$", out, re.MULTILINE)
-    assert re.search(r"^Typical_RGB_NIR +typical +RGBN ", out, re.MULTILINE)
-    listed = json.loads(command("cameras --json")[1])["cameras"]
-    assert len(listed) == 55
-    assert all(entry["notes"] for entry in listed)

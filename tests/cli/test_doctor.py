@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers.commands import process
+from helpers.commands import command
 from helpers.processes import HANG_S
 
 from pixsim.base import machine
@@ -22,55 +18,6 @@ from pixsim.optics.camera import Camera
 from pixsim.scene import trial
 from pixsim.scene.variants import graphics, variant
 from pixsim.show import render
-
-OLD_LLVM = [
-    str(path)
-    for major in (14, 15)
-    for path in sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM-{major}.so.1"))
-]
-HIDES_THE_WHEEL = """
-from importlib import metadata
-def hidden(function):
-    def without(name, *more):
-        if name == "karellen-llvm-core":
-            raise metadata.PackageNotFoundError(name)
-        return function(name, *more)
-    return without
-metadata.files, metadata.version = hidden(metadata.files), hidden(metadata.version)
-"""
-
-
-@dataclass(frozen=True)
-class Visit:
-    """Result of `pixsim doctor --json`."""
-
-    code: int
-    err: str
-    result: dict[str, Any]
-
-    def about(self, subject: str) -> dict[str, Any]:
-        (match,) = (finding for finding in self.result["findings"] if finding["subject"] == subject)
-        return match
-
-    @property
-    def problems(self) -> list[str]:
-        return [
-            finding["subject"] for finding in self.result["findings"] if finding["mark"] == PROBLEM
-        ]
-
-
-def visit(line: str = f"doctor --json --limit-s {HANG_S}", **changes: str | None) -> Visit:
-    done = process(line, **{variant.LLVM_VARIABLE: None} | changes)
-    assert done.returncode in (0, 1), done.stderr  # negative: ended by a signal
-    assert "Traceback" not in done.stderr
-    return Visit(done.returncode, done.stderr, json.loads(done.stdout))
-
-
-def before(folder: Path) -> dict[str, str]:
-    """Environment in which modules in a folder take precedence."""
-    return {
-        "PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
-    }
 
 
 def written(root: Path, files: dict[str, str]) -> Path:
@@ -84,34 +31,14 @@ def written(root: Path, files: dict[str, str]) -> Path:
 # --- This machine ---
 
 
-SUBJECTS = (
-    "pixsim",
-    "Python",
-    "packages",
-    "LLVM",
-    "graphics card",
-    "test render",
-    "processors",
-    "memory",
-    "cache",
-    "results",
-)
-
-
-@pytest.mark.slow  # a test render in a new process; the findings are tested one by one
-def test_doctor_working_machine_has_no_problems():
-    visited = visit()
-    assert (visited.code, visited.result["ok"], visited.problems) == (0, True, [])
-    assert tuple(finding["subject"] for finding in visited.result["findings"]) == SUBJECTS
-    facts = visited.about("test render")["facts"]
-    assert abs(facts["mean_lx"] / facts["expected_lx"] - 1) < trial.MAX_MEAN_ERROR
-    assert facts["seconds"] > 0
-    versions = visited.about("packages")["facts"]
-    assert {"mitsuba", "drjit", "numpy", "scipy", "colour-science", "openexr"} <= {
-        name.lower() for name in versions
-    }
+def test_doctor_on_this_machine_has_no_problems():
+    code, out, err = command(f"doctor --json --limit-s {HANG_S}")
+    assert code == 0, err
+    findings = {finding["subject"]: finding for finding in json.loads(out)["findings"]}
+    facts = findings["test render"]["facts"]
+    assert facts["mean_lx"] == pytest.approx(facts["expected_lx"], rel=trial.MAX_MEAN_ERROR)
     # The library that the render used is the one that is said to be in use.
-    assert visited.about("LLVM")["facts"]["path"] == facts["llvm"]
+    assert findings["LLVM"]["facts"]["path"] == facts["llvm"]
 
 
 def test_closed_form_lx_matches_hand_calculation():
@@ -133,33 +60,6 @@ def test_closed_form_lx_matches_hand_calculation():
 # --- LLVM ---
 
 
-@pytest.mark.slow
-def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
-    """With the libraries of this system only; the wheel is hidden."""
-    hidden = written(tmp_path / "hidden", {"sitecustomize.py": HIDES_THE_WHEEL})
-    lacking = before(hidden) | {"HOME": None, "PIXSIM_CACHE_DIR": "/dev/null/there"}
-    visited = visit(**lacking)
-    if visited.about("LLVM")["facts"]["path"] is not None:
-        pytest.skip("this system has a usable LLVM")
-    assert (visited.code, visited.problems) == (0, [])
-    assert visited.about("test render")["facts"]["variant"] == "scalar_spectral"
-    assert [visited.about(subject)["mark"] for subject in ("LLVM", "cache")] == [NOTE] * 2
-    assert "karellen-llvm-core" in visited.about("LLVM")["mend"]
-    picture = visit(
-        f"run flat --resolution 8 --display.dots 8 --json --out '{tmp_path / 'out'}'", **lacking
-    )
-    assert picture.code == 0
-    assert "rendering with scalar_spectral, since no LLVM 17" in picture.err
-
-
-def test_llvm_invalid_variable_is_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """`test_find_llvm_unusable_variable_raises` has all kinds."""
-    monkeypatch.setenv(variant.LLVM_VARIABLE, str(tmp_path / "gone"))
-    finding = doctor._llvm()
-    assert finding.mark == PROBLEM
-    assert re.search("DRJIT_LIBLLVM_PATH: .*no such file.* Unset it", finding.found)
-
-
 # --- Mitsuba that fails, aborts, hangs, or is wrong ---
 
 
@@ -173,8 +73,8 @@ def test_llvm_invalid_variable_is_problem(tmp_path: Path, monkeypatch: pytest.Mo
         ),
         (
             f"import time; time.sleep({HANG_S})",
-            2,
-            r"hangs: stopped after 2 s; a machine under load may need longer: --limit-s 6",
+            0.5,
+            r"hangs: stopped after 0\.5 s; a machine under load may need longer: --limit-s 1\.5",
         ),
     ],
     ids=["import", "hang"],
@@ -187,13 +87,6 @@ def test_render_broken_mitsuba_is_problem(
     assert finding.mark == PROBLEM
     assert re.fullmatch(fault, finding.found)
     assert finding.mend == "pip install --force-reinstall mitsuba drjit"
-
-
-@pytest.mark.slow  # a whole visit; its part: test_render_broken_mitsuba_is_problem
-def test_doctor_survives_aborting_mitsuba(tmp_path: Path):
-    visited = visit(**before(written(tmp_path / "broken", {"mitsuba.py": "import os; os.abort()"})))
-    assert (visited.code, visited.problems) == (1, ["test render"])
-    assert "dies of signal 6 (SIGABRT)" in visited.about("test render")["found"]
 
 
 def test_fault_wrong_image_is_reported():
@@ -245,21 +138,6 @@ def test_machine_container_limits_apply(files: dict[str, str], tmp_path: Path):
     assert machine.memory(root).usable == 512 << 20
 
 
-def test_machine_unknown_limits_are_none(tmp_path: Path):
-    assert machine.processors(tmp_path).granted is None
-    assert machine.memory(tmp_path) == machine.Memory(None, None, None)
-    broken = written(
-        tmp_path,
-        {
-            "proc/self/cgroup": "0::/\n",
-            "sys/fs/cgroup/cpu.max": "max",
-            "sys/fs/cgroup/memory.max": "",
-        },
-    )
-    assert machine.processors(broken).granted is None
-    assert machine.memory(broken).usable is None
-
-
 def test_check_folder_leaves_no_files(tmp_path: Path):
     fault, free = machine.check_folder(tmp_path / "a" / "b")
     assert fault is None
@@ -275,23 +153,15 @@ def test_check_folder_leaves_no_files(tmp_path: Path):
         ("PIXSIM_CACHE_GIB", "lots", PROBLEM, None),
         ("PIXSIM_CACHE_GIB", "0", OK, None),
         ("PIXSIM_CACHE_DIR", "/dev/null/there", NOTE, "export PIXSIM_CACHE_DIR=FOLDER"),
+        (variant.LLVM_VARIABLE, "/dev/null/gone", PROBLEM, None),
     ],
 )
-def test_cache_settings_give_mark_and_fix(
+def test_variables_give_mark_and_fix(
     name: str, value: str, mark: str, fix: str | None, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv(name, value)
-    finding = doctor._cache()
+    finding = doctor._llvm() if name == variant.LLVM_VARIABLE else doctor._cache()
     assert (finding.mark, finding.mend) == (mark, fix)
-
-
-def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delenv("PIXSIM_CACHE_DIR")
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(
-        Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory."))
-    )
-    assert (doctor._cache().mark, doctor._cache().mend) == (PROBLEM, None)
 
 
 # --- The report ---

@@ -6,12 +6,11 @@ import re
 from copy import copy
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Any
 
 import pytest
 from cyclopts import Argument, CoercionError, Token
 from helpers.commands import assert_refused, command
-from pydantic import TypeAdapter, ValidationError
 from rich.console import Console
 
 from pixsim.base.errors import PixsimError
@@ -20,16 +19,11 @@ from pixsim.base.records import Record, as_list, checked
 from pixsim.base.toml import packaged
 from pixsim.cli.commands import app
 from pixsim.cli.help import COMMON, MIN_SHORTENED
-from pixsim.cli.options import choices_of, complete_study, value_name
-from pixsim.optics.camera import CameraOptions
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.settings import PitchRange
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import Niirs
-from pixsim.viewer.setting import Effort, Run
+from pixsim.viewer.setting import Run
 
 NAMES = sorted(name for name in app if not name.startswith("-"))
 
@@ -45,78 +39,20 @@ def shown_help(name: str, option: str = "--help-all") -> str:
     return out
 
 
-TABLES: list[tuple[str, type[Record]]] = [
-    ("camera", CameraOptions),
-    ("pixel", Pixel),
-    ("exposure", Exposure),
-    ("display", Display),
-]
-
-
-def test_run_help_shows_type_choices_and_default_of_every_field() -> None:
-    text = shown_help("run")
-    fields = [
-        (f"{table}.{name}", info)
-        for table, record in TABLES
-        for name, info in record.model_fields.items()
-    ]
-    options = [(f"--{name.replace('_', '-')}", info) for name, info in fields]
-    names = {"window_mm": "window"} | {
-        name: name for name in (*Effort.model_fields, "seed") if name != "window_mm"
-    }
-    options += [
-        (f"--{option.replace('_', '-')}", Run.model_fields[name]) for name, option in names.items()
-    ]
-    lines = [line for line in text.splitlines() if line.startswith("│")]
-    for option, info in options:
-        if any(
-            isinstance(kind, type) and issubclass(kind, Record)
-            for kind in get_args(info.annotation)
-        ):
-            assert any(line.startswith(f"│ {option}.") for line in lines), (
-                "a table of options of its own"
-            )
-            continue
-        (line,) = (line for line in lines if re.match(rf"│\*? *{re.escape(option)} ", line))
-        kind = line.split(option, 1)[1].split()[0]
-        assert kind == (
-            "NAME|FILE" if option == "--pixel.technology" else value_name(info.annotation)
-        ), option
-        assert not re.match(r"STR|CHOICE", kind), option
-        described = " ".join(
-            part.strip("│ ") for part in text[text.index(line) :].split("│ --")[:2]
-        )
-        assert "[default: " in described or "absent" in described, option
-        for choice in choices_of(info.annotation):
-            assert choice in kind.split("|")
-
-
 OPTION = re.compile(r"^│[* ]*(?:[A-Z]+ )?(--[\w.-]+)", re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_help_shows_usage_common_options_and_how_to_see_all(name: str) -> None:
-    """A command with many options shows a part of them, in their order, and says so; another one
-    has the same help twice.
-
-    STR says nothing of the value; every one has a name or a list of choices.
-    """
+def test_help_shows_common_options_and_how_to_see_all(name: str) -> None:
+    """A command with many options shows a part of them, in their order, and says so."""
     text, part = shown_help(name), shown_help(name, "-h")
     assert "Usage: pixsim" in text
-    assert "--json" in text
-    assert re.search(rf"pixsim {name} \S|Example", text)
-    assert [line for line in text.splitlines() if re.search(r"-[\w.-]+ STR\b", line)] == []
     short, full = OPTION.findall(part), OPTION.findall(text)
     # SENSORS has no name
     line = f"`pixsim {name} --help-all` shows all {len(full) + (name == 'compare')} options.\n"
-    if len(full) <= MIN_SHORTENED:
-        assert short == full
-        assert line not in part
-        return
-    assert part.endswith(line)
+    assert part.endswith(line) == (len(full) > MIN_SHORTENED)
     assert short == [option for option in full if option in short]
-    assert 8 < len(short) < MIN_SHORTENED
-    assert {*short} - COMMON <= {"--PIXEL"}, "words without an option are shown, too"
+    assert short == full or {*short} - COMMON <= {"--PIXEL"}, "words without an option, too"
 
 
 def test_common_options_are_options() -> None:
@@ -161,33 +97,9 @@ def test_pairs_of_numbers_are_texts_of_options(
 
 def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:
     """The file has both numbers; the option replaces them, and lacks one."""
-    layers = [
-        Layer({"velocity_mm_per_s": [300, 0]}, "belt.toml"),
-        Layer({"velocity_mm_per_s": "300"}),
-    ]
-    with pytest.raises(PixsimError) as error:
-        checked(Motion, layers)
-    wanted = (
-        "velocity_mm_per_s: got a list of 1; allowed: a list of at least 2: velocity [x, y] of the"
-        " objects, in a plane"
-    )
-    assert str(error.value).startswith(wanted)
-
-
-@pytest.mark.parametrize(
-    ("annotation", "name"),
-    [
-        (float, "FLOAT"),
-        (int | None, "INT"),
-        (Annotated[float, "above 0"] | None, "FLOAT"),
-        (Literal["a", "b"] | None, "a|b"),
-        (Annotated[float, 1] | tuple[tuple[float, float], ...], "FLOAT|FILE"),
-        (tuple[int, int] | None, "INTxINT"),
-        (str, "TEXT"),
-    ],
-)
-def test_value_name_of_annotation(annotation: object, name: str) -> None:
-    assert value_name(annotation) == name
+    file = Layer({"velocity_mm_per_s": [300, 0]}, "belt.toml")
+    with pytest.raises(PixsimError, match=r"^velocity_mm_per_s: got a list of 1; .* at least 2"):
+        checked(Motion, [file, Layer({"velocity_mm_per_s": "300"})])
 
 
 def options_of_several_values() -> list[tuple[str, Argument]]:
@@ -204,27 +116,6 @@ SEVERAL = options_of_several_values()
 OPTION_IDS = [f"{name} {argument.names[0]}" for name, argument in SEVERAL]
 
 
-def kind_of_values(argument: Argument) -> Any:
-    """T of list[T] | None."""
-    (kind,) = (
-        get_args(part)[0]
-        for part in (argument.hint, *get_args(argument.hint))
-        if get_origin(part) is list
-    )
-    return kind
-
-
-def two_values(argument: Argument) -> tuple[str, str]:
-    """Texts of two values that an option takes."""
-    kind = kind_of_values(argument)
-    if get_origin(kind) is Literal:
-        return get_args(kind)[:2]
-    if kind in (int, float):
-        return "450", "0.5"
-    metavar = str(argument.parameter.metavar)
-    return ("a.b=1,2", "c=x") if "=" in metavar else ("delta_e", "user_metric")
-
-
 def converted(argument: Argument, *texts: str) -> list[Any]:
     """What a command gets of an option that is given once for each text."""
     fresh = copy(argument)  # an argument keeps its first result
@@ -235,103 +126,34 @@ def converted(argument: Argument, *texts: str) -> list[Any]:
     return list(fresh.convert())
 
 
-def takes_files(argument: Argument) -> bool:
-    return kind_of_values(argument) is Path or argument.parameter.metavar == "FILE"
+# Two values that an option takes, by the name of its values.
+TWO_VALUES = {
+    "NAME=VALUES": ("a.b=1,2", "c=x"),
+    "NAME=VALUE": ("a.b=1,2", "c=x"),
+    "UM": ("450", "0.5"),
+}
+TWO_OF_NAME = {"--raw": ("tiff", "png"), "--wavelength-nm": ("450", "0.5")}
 
 
 @pytest.mark.parametrize(("name", "argument"), SEVERAL, ids=OPTION_IDS)
 def test_option_of_several_values_takes_commas_but_in_names_of_files(
     name: str, argument: Argument
 ) -> None:
-    if takes_files(argument):
-        assert list(map(str, converted(argument, "a, b.toml", "c.toml"))) == [
-            "a, b.toml",
-            "c.toml",
-        ], name
+    if "Path" in str(argument.hint) or argument.parameter.metavar == "FILE":
+        files = converted(argument, "a, b.toml", "c.toml")
+        assert list(map(str, files)) == ["a, b.toml", "c.toml"], name
         return
-    first, second = two_values(argument)
+    metavar = str(argument.parameter.metavar)
+    first, second = TWO_OF_NAME.get(argument.names[0]) or TWO_VALUES.get(metavar, ("delta_e", "x"))
     repeated = converted(argument, first, second)
     assert len(repeated) == 2
     assert converted(argument, f"{first},{second}") == repeated
-    assert [str(value).strip() for value in converted(argument, f"{first}, {second}")] == list(
-        map(str, repeated)
-    )
     assert converted(argument, f"{first},{second}", first) == [*repeated, repeated[0]]
     if "=" in first:
         return  # a comma that stands alone is one of the value
-    for text in (f"{first},,{second}", f"{first},", f",{first}", "", ","):
-        with pytest.raises(
-            CoercionError,
-            match=re.escape(f"got '{text}'; allowed: a value on both sides of every comma"),
-        ):
+    for text in (f"{first},,{second}", f"{first},", ""):
+        with pytest.raises(CoercionError, match="a value on both sides of every comma"):
             converted(argument, text)
-
-
-def test_options_of_several_values_are_all_there() -> None:
-    """The generated list is not empty for another reason."""
-    names = {argument.names[0] for _, argument in SEVERAL}
-    assert names >= {
-        "--metrics",
-        "--raw",
-        "--axis",
-        "--smaller-than",
-        "--wavelength-nm",
-        "-D",
-        "--config",
-        "--glass-catalogues",
-    }
-
-
-def fields_of_several_values(record: type[Record], path: str) -> list[tuple[str, Any]]:
-    """Dotted names and types of the fields that hold several plain values: tuples of numbers or of
-    texts.
-    """
-    fields: list[tuple[str, Any]] = []
-    for name, info in record.model_fields.items():
-        kinds = [
-            kind
-            for kind in (info.annotation, *get_args(info.annotation))
-            if isinstance(kind, type) and issubclass(kind, Record)
-        ]
-        for kind in kinds:
-            fields += fields_of_several_values(kind, f"{path}.{name}")
-        whole = Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
-        if (
-            not kinds
-            and "tuple[" in str(whole)
-            and "tuple[tuple" not in str(whole)
-            and "dict[" not in str(whole)
-        ):
-            fields.append((f"{path}.{name}".lstrip("."), whole))
-    return fields
-
-
-FIELDS = [
-    (name, kind)
-    for name, kind in [
-        *fields_of_several_values(Run, ""),
-        *fields_of_several_values(PitchRange, "pitch"),
-    ]
-    if name != "metrics"
-]  # of which --metrics is an option of its own
-VALUES = (["0.25", "0.5"], ["640", "480"], ["1.5", "1", "2"], ["a.agf", "b.agf"])
-
-
-@pytest.mark.parametrize(("name", "kind"), FIELDS, ids=[name for name, _ in FIELDS])
-def test_dotted_option_of_several_values_takes_commas(name: str, kind: Any) -> None:
-    """An option is the text that its field validates."""
-    field = TypeAdapter(kind)
-    values = next(values for values in VALUES if is_valid(field, values))
-    assert field.validate_python(",".join(values)) == field.validate_python(values)
-    assert field.validate_python(", ".join(values)) == field.validate_python(values)
-
-
-def is_valid(field: TypeAdapter[Any], value: object) -> bool:
-    try:
-        field.validate_python(value)
-    except ValidationError:
-        return False
-    return True
 
 
 @pytest.mark.parametrize("text", ["0.25,,0.5", "0.25,0.5,", ",0.25", "", ","])
@@ -414,36 +236,23 @@ def test_completion_knows_scenes_studies_technologies_and_choices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.xml").touch()
-    (tmp_path / "mine.toml").touch()
     (tmp_path / "folder").mkdir()
-    (tmp_path / "folder/other.toml").touch()
-    scenes, studies, technologies = (
-        set(packaged_scenes()),
-        set(packaged("data/studies")),
-        set(packaged("data/technologies")),
+    for name in ("mine.xml", "mine.toml", "folder/other.toml"):
+        (tmp_path / name).touch()
+    studies, technologies, sensors = (
+        set(packaged(f"data/{kind}")) for kind in ("studies", "technologies", "sensors")
     )
-    for name in ("run", "plan", "accuracy"):
-        assert scenes | {"mine.xml", "folder/"} <= completed(name, "")
-        assert "mine.toml" not in completed(name, "")
+    scenes = completed("run", "")
+    assert {*packaged_scenes(), "mine.xml", "folder/"} <= scenes
+    assert "mine.toml" not in scenes
     assert studies | {"mine.toml", "folder/"} <= completed("study", "")
     assert "folder/other.toml" in completed("study", "folder/")
-    sensors = set(packaged("data/sensors"))
+    assert completed("study", "gone/") == studies
     assert technologies | sensors | {"mine.toml"} <= completed("datasheet", "")
     assert sensors | {"mine.toml"} <= completed("run", "csf", "--config", "")
     assert {*packaged("data/lenses"), "mine.toml"} <= completed("lens", "")
     assert technologies | {"none"} <= completed("run", "csf", "--pixel.technology", "")
     assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}
-
-
-def test_complete_study_hidden_and_missing_folders(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Context:
-        incomplete = "gone/"
-
-    monkeypatch.chdir(tmp_path)
-    assert set(complete_study(Context())) == set(packaged("data/studies"))
 
 
 # --- Missing folders ---
