@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,8 +17,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report import maps
-from pixsim.report.axes import one_at_a_time_table
-from pixsim.show.figures import new_figure, pixsim_style
+from pixsim.show.figures import pixsim_style
 from pixsim.show.pages import Plate
 from pixsim.studies.curve import CaseLabels, Curve
 from pixsim.studies.design import Case, cases_of
@@ -48,7 +46,7 @@ def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
 
 def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
     delta_e, fit = fitted(optimum_um, least)
-    of_case = {"at": case.at, "condition": case.condition, "alone": case.alone}
+    of_case = {"at": case.at, "condition": case.condition, "alone": case.one_at_a_time}
     return Curve(
         technology,
         0.35,
@@ -81,17 +79,6 @@ def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -
         )
     curves = tuple(curve for part in parts for curve in part.curves)
     return CasesResult(plan, curves, parts[0].light, parts=tuple(parts))
-
-
-def test_result_with_axes_prints_as_a_line_of_optima() -> None:
-    result = result_of(
-        lambda at, *_: at["lens"],
-        axis=[{"name": "lens", "set": "camera.f_number", "values": [4.0, 8.0]}],
-    )
-    assert re.fullmatch(
-        r"<CasesResult tiny: 0\.35um, lens 4: [^;]* µm\); 0\.35um, lens 8: [^;]* µm\)>",
-        repr(result),
-    )
 
 
 LUMINANCE = {
@@ -149,16 +136,6 @@ def drawn(plate: Plate, panel: int = 0) -> list[tuple[list[float], list[float]]]
 # ----------------------------------------------------------------------------------------------------------
 
 
-def test_axis_plates_are_named_by_axes(plates: dict[str, Plate]) -> None:
-    along = [
-        "optimum_by_luminance",
-        "delta_e_by_pitch_and_luminance",
-        "optimum_by_lens",
-        "delta_e_by_pitch_and_lens",
-    ]
-    assert list(plates) == [*along, "optimum_by_luminance_and_lens"]
-
-
 def test_tables_hold_closed_form_optima(plates: dict[str, Plate]) -> None:
     for name, plate in plates.items():
         for row in rows_of(plate):
@@ -174,22 +151,6 @@ def test_tables_hold_the_lines_drawn(plates: dict[str, Plate]) -> None:
     assert {
         name: lines for name, plate in plates.items() if (lines := lines_without_rows(plate))
     } == {}
-
-
-def test_optimum_along_draws_optima_and_intervals(plates: dict[str, Plate]) -> None:
-    plate = plates["optimum_by_lens"]
-    points = {(x, y) for xs, ys in drawn(plate) for x, y in zip(xs, ys, strict=True)}
-    bars = np.array(
-        [bar for bars in plate.figure.axes[0].collections for bar in bars.get_segments()]
-    )
-    for row in rows_of(plate):
-        low, high = ((row["lens"], row[f"interval_{end}_um"]) for end in ("low", "high"))
-        assert (row["lens"], row["optimum_um"]) in points
-        assert np.isclose(bars, [low, high], rtol=1e-12).all(axis=(1, 2)).any()
-    assert len(bars) == len(rows_of(plate))
-    low, high = plate.figure.axes[0].get_ylim()
-    assert low < min(row["interval_low_um"] for row in rows_of(plate))
-    assert high > max(row["interval_high_um"] for row in rows_of(plate))
 
 
 def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> None:
@@ -219,40 +180,6 @@ PANELS = [
 ]
 
 
-def test_map_has_a_line_through_optima(plates: dict[str, Plate]) -> None:
-    plate = plates["delta_e_by_pitch_and_lens"]
-    rows = rows_of(plate)
-    for panel, (condition, luminance) in enumerate(PANELS):
-        own = {
-            row["lens"]: row
-            for row in rows
-            if (row["condition"], row["luminance"]) == (condition, luminance)
-        }
-        assert list(own) == [2.8, 4.0, 8.0], "in increasing order"
-        lines = drawn(plate, panel)
-        assert (list(own), [row["optimum_um"] for row in own.values()]) in lines
-        low_um, high_um = plate.figure.axes[panel].get_ylim()
-        assert (low_um, high_um) == (PITCH_UM[0], PITCH_UM[-1])
-
-
-def test_map_colours_are_those_of_the_table(plates: dict[str, Plate]) -> None:
-    """A cell has the colour of the mean ΔE at its pitch and f-number, which the closed form gives
-    above.
-    """
-    plate = plates["delta_e_by_pitch_and_lens"]
-    for panel, place in enumerate(PANELS):
-        cells = plate.figure.axes[panel].collections[0]
-        values = [
-            row["mean_delta_e"]
-            for row in rows_of(plate)
-            if (row["condition"], row["luminance"]) == place
-        ]
-        assert cells.get_array().T.ravel().tolist() == values
-        assert cells.norm.vmin == min(row["mean_delta_e"] for row in rows_of(plate)), (
-            "all panels have one scale"
-        )
-
-
 @pytest.mark.parametrize(
     ("high", "kind"), [(1.0, "Normalize"), (9.0, "Normalize"), (11.0, "LogNorm")]
 )
@@ -266,35 +193,6 @@ def test_colours_are_logarithmic_over_a_decade(high: float, kind: str) -> None:
     assert norm.vmin < norm.vmax
     contours = [item for item in panels[0].collections if hasattr(item, "levels")]
     assert len(contours) == (high > 1.0), "nothing rises in a map of one value"
-
-
-def test_cutoff_pitch_is_that_of_the_camera(plates: dict[str, Plate]) -> None:
-    """λ/(4 sin α) with tan α = 1/(2 N (1 + m)) and m of 3.86 mm at 1 m, at 550 nm."""
-    of_lens = {
-        row["lens"]: row["cutoff_pitch_um"] for row in rows_of(plates["delta_e_by_pitch_and_lens"])
-    }
-    for f_number, actual in of_lens.items():
-        alpha = math.atan(1 / (2 * f_number * (1 + 3.86 / (1000 - 3.86))))
-        assert actual == pytest.approx(0.55 / (4 * math.sin(alpha)), rel=1e-9)
-
-
-def test_map_of_two_has_the_optima_of_the_table(plates: dict[str, Plate]) -> None:
-    plate = plates["optimum_by_luminance_and_lens"]
-    rows = rows_of(plate)
-    assert len(rows) == 2 * 4 * 3
-    for panel, condition in enumerate(("day", "night")):
-        axes = plate.figure.axes[panel]
-        own = [row for row in rows if row["condition"] == condition]
-        assert axes.collections[0].get_array().ravel().tolist() == [
-            row["optimum_um"] for row in own
-        ]
-        across = [label.get_text() for label in axes.xaxis.get_ticklabels()]
-        assert across == ["1", "10", "100", "1000"]
-    assert [label.get_text() for label in plate.figure.axes[0].yaxis.get_ticklabels()] == [
-        "2.8",
-        "4",
-        "8",
-    ]
 
 
 def test_map_of_two_has_contours_of_the_best_value() -> None:
@@ -311,21 +209,6 @@ def test_map_of_two_has_contours_of_the_best_value() -> None:
         np.testing.assert_allclose(points[:, 0], places, atol=2e-2)
 
 
-def test_maps_fill_their_figures() -> None:
-    """With optima inside and at an end: the layout leaves out what is not drawn. Two panels and a
-    bar have 0.6 of the width.
-    """
-    result = result_of(
-        lambda at, *_: 100.0 if at["lens"] == 8.0 else 6.0,
-        axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}],
-    )
-    for plate in maps.axis_plates(result)[1::2]:
-        plate.figure.draw_without_rendering()
-        panels = [axes.get_position() for axes in plate.figure.axes[:-1]]
-        assert sum(panel.width for panel in panels[:2]) > 0.6
-        assert all(panel.height > 0.25 for panel in panels)
-
-
 # --- captions
 # ---------------------------------------------------------------------------------------------------------
 
@@ -334,41 +217,6 @@ LIGHTS = {
     "set": "scene.parameters.luminance_cd_per_m2",
     "values": [1.0, 10.0, 100.0],
 }
-
-
-def test_captions_do_not_depend_on_the_numbers_drawn() -> None:
-    """Of a study whose optima rise along an axis, and of one whose optima fall and lie at an end of
-    the sizes.
-    """
-    rising, falling = (
-        result_of(lambda at, *_, power=power: 6.0 * at["light"] ** power, axis=[LIGHTS, LENS])
-        for power in (0.1, -0.5)
-    )
-    captions = [
-        [plate.caption for plate in maps.axis_plates(result)] for result in (rising, falling)
-    ]
-    assert captions[0] == captions[1]
-
-
-def test_panels_are_named_by_the_values_of_the_other_axis() -> None:
-    labels = {"f/2.8": 5.0, "f/8": 8.0, "f/4": 6.0}
-    values = [
-        {"label": label, "set": {"camera": {"f_number": float(label[2:])}}} for label in labels
-    ]
-    plates = maps.axis_plates(
-        result_of(lambda at, *_: labels[at["optics"]], axis=[{"name": "optics", "values": values}])
-    )
-    assert plates[0].table["optics"] == list(labels), "in the order of the file"
-    assert [label.get_text() for label in plates[1].figure.axes[0].get_xticklabels()] == list(
-        labels
-    )
-    alone = {"name": "lens", "set": "camera.f_number", "values": [4.0]}
-    plates = maps.axis_plates(result_of(lambda *_: 6.0, axis=[alone, LIGHTS]))
-    titles = [axes.get_title() for axes in plates[1].figure.axes[:3]]
-    assert titles == ["light 1 cd/m²", "light 10 cd/m²", "light 100 cd/m²"], (
-        "a panel for each value of the other axis"
-    )
-    assert plates[-1].name == "optimum_by_lens_and_light"
 
 
 # --- what a figure leaves out
@@ -384,43 +232,6 @@ def test_thinning_states_itself(two_axes: StudyResult, plates: dict[str, Plate])
     assert not plates["optimum_by_luminance"].figure.get_suptitle(), "6 lines are all"
     looks = [grey_look(line) for line in plate.figure.legends[0].get_lines()]
     assert len(set(looks)) == maps.MAX_PANELS
-
-
-def test_panels_are_at_most_six() -> None:
-    names = ["0.5um", "0.35um", "0.25um", "0.18um"]
-    result = result_of(
-        optimum_um,
-        axis=[LENS | {"values": [2.8, 8.0]}],
-        technologies=names,
-        condition=DAY_AND_NIGHT,
-    )
-    plate = maps.axis_plates(result)[1]
-    panels = [axes.get_title() for axes in plate.figure.axes if axes.get_title()]
-    every = [f"{name}, {condition}" for name in names for condition in ("day", "night")]
-    assert panels == every[:6]
-    assert plate.figure.get_suptitle() == "6 of 8 lines or panels"
-    for row in rows_of(plate):
-        assert row["optimum_um"] == pytest.approx(expected_um(row), rel=FIT)
-
-
-@pytest.mark.parametrize(
-    ("name", "setting", "smaller", "larger"),
-    [
-        ("technology", "pixel.technology", "0.35um", "0.5um"),
-        ("raster", "display.raster", "one_to_one", "fixed_size"),
-    ],
-)
-def test_axis_over_words_is_one_line(name: str, setting: str, smaller: str, larger: str) -> None:
-    """The lens's limit is that of the camera, whatever the raster of the display."""
-    axis = {"name": "kind", "set": setting, "values": [larger, smaller]}
-    along, over = maps.axis_plates(
-        result_of(lambda at, *_: 6.0 if at["kind"] == smaller else 7.0, axis=[axis])
-    )
-    assert along.table["kind"] == [larger, smaller]
-    assert name != "technology" or along.table["technology"] == [larger, smaller]
-    assert not along.figure.legends
-    assert len(over.figure.axes) == 2, "one panel and its colour bar"
-    assert len(set(over.table["cutoff_pitch_um"])) == 1
 
 
 @pytest.mark.parametrize(
@@ -502,21 +313,6 @@ def test_names_of_columns_and_files_are_unique() -> None:
         assert {row["optimum_um_2"] for row in rows_of(plate)} <= {0.01, 0.02}
 
 
-def test_no_plates_without_axes() -> None:
-    assert maps.axis_plates(result_of(lambda *_: 6.0, condition=DAY_AND_NIGHT)) == []
-    assert (
-        maps.one_at_a_time_plate(result_of(lambda *_: 6.0, axis=[LENS | {"values": [4.0]}])) is None
-    )
-    assert maps.axis_plates(replace(result_of(lambda *_: 6.0), parts=())) == []
-
-
-def test_plates_are_reproducible() -> None:
-    grid = maps.Grid(result_of(lambda *_: 6.0, axis=[LENS]))
-    assert (
-        maps.map_along(grid, grid.scales[0]).drawn() == maps.map_along(grid, grid.scales[0]).drawn()
-    )
-
-
 # --- axes moved alone
 # ---------------------------------------------------------------------------------------------------
 
@@ -582,46 +378,3 @@ def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
             (min(sizes_um), max(sizes_um))
         )
     assert {text.get_text() for text in axes.texts} == {"1", "20", "0.005", "0.03"}
-
-
-def test_table_of_axes_moved_alone_has_the_widest_first(moved: StudyResult) -> None:
-    labels, sizes, values = zip(*one_at_a_time_table(moved).rows, strict=True)
-    assert labels == ("night, read noise", "day, read noise", "night, prnu", "day, prnu")
-    ends_um = [float(end) for words in sizes for end in str(words).split(" to ")]
-    assert ends_um == pytest.approx([5.85, 9.1, 4.5, 7.0, 6.435, 6.825, 4.95, 5.25], abs=0.02)
-    assert set(values) == {"1"}
-
-
-def test_alone_axes_are_not_in_the_maps() -> None:
-    result = result_of(moved_um, axis=[*ALONE, LENS | {"values": [2.8, 8.0]}])
-    assert [plate.name for plate in maps.axis_plates(result)] == [
-        "optimum_by_lens",
-        "delta_e_by_pitch_and_lens",
-    ]
-    assert maps.plate_names(result.study)[-1] == "tornado"
-    assert maps.axis_plates(result)[0].table["lens"] == [2.8, 8.0]
-
-
-@pixsim_style()
-def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
-    """Seven values in a panel of half the width are tilted."""
-    scale = maps.Scale.of(
-        Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log")
-    )
-    figure = new_figure(2.4, 2.0)
-    axes = figure.subplots()
-    scale.draw_on(axes.xaxis, 28)
-    figure.draw_without_rendering()
-    assert [label.get_text() for label in axes.get_xticklabels()] == [
-        "1",
-        "3.162",
-        "10",
-        "31.62",
-        "100",
-        "316.2",
-        "1000",
-    ]
-    assert {label.get_rotation() for label in axes.get_xticklabels()} == {30.0}
-    places_px = axes.transData.transform([(value, 0.5) for value in scale.values])[:, 0]
-    height_px = axes.get_xticklabels()[0].get_fontsize() * figure.dpi / 72
-    assert (np.diff(places_px) * math.sin(math.radians(30)) > height_px / 2).all()

@@ -27,13 +27,6 @@ def table() -> Table:
     )
 
 
-def test_the_figure_has_a_line_of_means_for_each_case() -> None:
-    (axes,) = table().plot().axes
-    lines = {line.get_label(): (line.get_xdata(), line.get_ydata()) for line in axes.lines}
-    np.testing.assert_array_equal(lines["a"], [[5.0, 7.5], [2.0, 2.0]])
-    np.testing.assert_array_equal(lines["b"], [[5.0, 7.5], [5.0, np.nan]])
-
-
 def test_the_page_has_the_figure_and_all_rows(tmp_path: Path) -> None:
     page = table().write(tmp_path / "out")
     assert "4 pixels, means over 2 sensors of each" in page.read_text(encoding="utf-8")
