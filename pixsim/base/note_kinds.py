@@ -27,7 +27,7 @@ NOTES = {
     # A number is not stated, and taken from elsewhere.
     "assumed": _NoteKind("{words}"),
     # A number is unusual in its unit, and usual in another one.
-    "unit_slip": _NoteKind("pixel: {name} = {number:g} is unusual. {hint}", True),
+    "unit_slip": _NoteKind("{name} = {number:g} is unusual. {hint}", True),
     # Some of the pixel sizes or cases are not possible.
     "left_out": _NoteKind("{words}", True),
     # Motion leaves other borders in other cases.

@@ -209,6 +209,13 @@ def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
     return [path for path in aliased if path[:-1] == list(above)] or same_name or aliased
 
 
+def replacement_words(title: str, path: list[str], name: str) -> str:
+    """Return what a message says of an unknown name that may mean the field at a path; empty where
+    the field's own name says it.
+    """
+    return words_of(_field(title, path)).instead.get(name, "")
+
+
 def _fields(
     record: type[BaseModel], above: Sequence[str] = ()
 ) -> Iterator[tuple[list[str], FieldInfo]]:
@@ -225,7 +232,7 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
     meant_paths = names_meant(title, above, name)
     if not meant_paths:
         return did_you_mean(name, _names_at(title, above))
-    if above and (replacement := words_of(_field(title, meant_paths[0])).instead.get(name)):
+    if above and (replacement := replacement_words(title, meant_paths[0], name)):
         return replacement
     if _record(title, meant_paths[0]):
         return f"Write {' or '.join('[' + '.'.join(path) + ']' for path in meant_paths)}."

@@ -15,7 +15,7 @@ from cyclopts import (
     UnusedCliTokensError,
 )
 
-from pixsim.base.problems import names_meant
+from pixsim.base.problems import names_meant, replacement_words
 from pixsim.cli.options import app
 from pixsim.viewer.setting import Run
 
@@ -105,13 +105,15 @@ def _hint_of_option(name: str, options: set[str], proposed: bool) -> str:
     Empty if nothing better is known.
     """
     *tables, last = name.lstrip("-").replace("-", "_").split(".")
-    candidates = [
-        "--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, tables, last)
-    ]
+    meant_paths = names_meant(Run.__name__, tables, last)
+    candidates = ["--" + ".".join(path).replace("_", "-") for path in meant_paths]
+    replacement = ""
+    if tables and meant_paths:
+        replacement = replacement_words(Run.__name__, meant_paths[0], last)
     candidates += [option for option in sorted(options) if option.startswith(f"{name}-")]
     candidates += [_OTHER_NAME[name]] if name in _OTHER_NAME else []
-    if candidates := [option for option in candidates if option in options]:
-        return f"Did you mean {' or '.join(candidates)}?"
+    if candidates := [option for option in dict.fromkeys(candidates) if option in options]:
+        return f"Did you mean {' or '.join(candidates)}? {replacement}".rstrip()
     if "-D" in options and not (proposed or tables) and name.startswith("--"):
         return f"A parameter of the scene goes after -D: -D {last}=VALUE"
     return ""

@@ -6,11 +6,25 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from pixsim.base.problems import Words
 from pixsim.base.records import Record
 from pixsim.light.quantities import Fraction
 from pixsim.sensor.quantities import GainDb, Seconds
 
 MAX_FRAMES = 1024
+_GAIN_WORDS = Words(
+    also=("gain", "iso"),
+    instead={
+        "gain": "gain_db is 20 log10 of a gain: 12.04 for 4.",
+        "iso": "gain_db is 20 log10 of ISO over the sensor's base ISO: 18.06 for 800 over 100.",
+    },
+)
+_FRAMES_WORDS = Words(
+    also=("hdr",),
+    instead={
+        "hdr": "frames sums equal subexposures; exposures of several lengths are not modelled."
+    },
+)
 
 
 class Exposure(Record):
@@ -34,14 +48,14 @@ class Exposure(Record):
             " (the lower of the full well and the range of the ADC at gain_db)"
         ),
     )
-    gain_db: GainDb = Field(
+    gain_db: Annotated[GainDb, _GAIN_WORDS] = Field(
         0.0,
         description=(
             "amplification before the ADC; at 0 dB the codes above the black level span the full"
             " well, unless [pixel] states gain_e_per_dn, dn_per_e or adc_full_scale_e"
         ),
     )
-    frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = Field(
+    frames: Annotated[int, Field(ge=1, le=MAX_FRAMES), _FRAMES_WORDS] = Field(
         1,
         description=(
             "subexposures that are summed in one frame; each saturates, is read out and is rounded"

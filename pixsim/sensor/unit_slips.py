@@ -44,6 +44,7 @@ SLIPS = {
     "adc_full_scale_e": _UnitSlip(_WELL_E, "thousands of electrons", 1e3),
     "prnu": _UnitSlip((0.0, 0.05), "per cent", 0.01),
     "fill_factor": _UnitSlip((0.0, 1.0), "per cent", 0.01),
+    "focal_length_mm": _UnitSlip((0.3, 1e5), "m", 1e3),
     "gain_e_per_dn": _UnitSlip(
         _ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", "adc_range_per_well"
     ),
@@ -69,11 +70,12 @@ def slip_hint(name: str, value: object) -> str:
     return _hint(name, number) if _is_slip(slip, number, number * slip.factor) else ""
 
 
-def unit_slips(pixel: BaseModel) -> list[Note]:
-    """Return a note for each number of a pixel that is unusual in its field's unit, and usual in
+def unit_slips(settings: BaseModel, table: str = "pixel") -> list[Note]:
+    """Return a note for each number of settings that is unusual in its field's unit, and usual in
     the other one of `SLIPS`.
 
-    pixel : a `PixelOptions`
+    settings : a `PixelOptions`, or a `Camera`
+    table : of a settings file, to which they belong
 
     A gain is judged by the range of the ADC over the full well, where both are stated.
 
@@ -83,18 +85,19 @@ def unit_slips(pixel: BaseModel) -> list[Note]:
     """
     notes = []
     for name, slip in SLIPS.items():
-        number = getattr(pixel, name, None)
+        number = getattr(settings, name, None)
         if number is None:
             continue
 
         value = number
         converted = number * slip.factor
         if slip.property:
-            other = pixel.model_copy(update={name: None, slip.meant: converted})
-            value = getattr(pixel, slip.property)
+            other = settings.model_copy(update={name: None, slip.meant: converted})
+            value = getattr(settings, slip.property)
             converted = getattr(other, slip.property)
         if value is not None and converted is not None and _is_slip(slip, value, converted):
-            notes.append(Note("unit_slip", name=name, number=number, hint=_hint(name, number)))
+            place = f"{table}: {name}"
+            notes.append(Note("unit_slip", name=place, number=number, hint=_hint(name, number)))
     return notes
 
 

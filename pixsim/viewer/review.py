@@ -8,21 +8,22 @@ from pixsim.base.notes import Note, first_notes, warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_notes import pixel_notes
+from pixsim.sensor.unit_slips import unit_slips
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scene_light import SceneLight
 
 
 def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
-    """Return notes on a pixel in its light.
+    """Return notes on a camera and its pixels in their light.
 
-    Numbers of the pixel that are rather in another unit, light for which a model does not hold, and
+    Numbers that are rather in another unit, light for which a model does not hold, and
     light of another camera.
 
     light : None before it is rendered: only what the settings tell
     """
     if light is None:
-        return pixel_notes(imaging.physics)
-    notes = _camera_notes(imaging.camera, light.irradiance)
+        return unit_slips(imaging.camera, "camera") + pixel_notes(imaging.physics)
+    notes = unit_slips(imaging.camera, "camera") + _camera_notes(imaging.camera, light.irradiance)
     return notes + pixel_notes(imaging.physics, imaging.camera, light.irradiance)
 
 
