@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.claims import Claim
+from scipy import stats
 
 from pixsim.report.axes import regrets_columns
 from pixsim.report.regret import condition_regrets_data, regrets_data, regrets_plate
 from pixsim.studies.curve import CaseLabels, Curve, first_metric_and_ci95
 from pixsim.studies.film_error import FilmError, film_error
 from pixsim.studies.optimum import fit_curve, fit_of_metric, fittable_pitches
+from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.regret import (
     Regrets,
     condition_regrets,
@@ -23,7 +25,7 @@ from pixsim.studies.regret import (
     weighted_fit,
     weighted_mean,
 )
-from pixsim.studies.settings import Study
+from pixsim.studies.settings import Axis, Study
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
@@ -119,6 +121,14 @@ def predicted(before: float | None, error: float = 0.4) -> tuple[float, ...]:
     return fine.predicted_on(1024, coarse)
 
 
+def points(table: dict[str, Any]) -> list[float]:
+    axis = Axis.model_validate({"name": "a", "set": "pixel.read_noise_e"} | table)
+    return [float(point.value) for point in axis.points]
+
+
+DIFFERENCES = np.random.default_rng(1).normal(0.5, 1.0, 9)
+T_INTERVAL = stats.t.interval(0.95, 8, DIFFERENCES.mean(), stats.sem(DIFFERENCES))
+T_TEST = stats.ttest_1samp(DIFFERENCES, 0, alternative="greater")
 FALL = np.log(9.0 / 5.0) ** 2
 DELTA_E_UM = vertex_um(0.75 * 0.8, 0.25 * 0.4)
 INFORMATION_UM = vertex_um(0.75 * 8.0, 0.25 * 4.0)
@@ -200,6 +210,35 @@ CLAIMS = [
         ),
         fit_numbers(fit_curve(PITCH_UM, LOSS / 50.0)),
         rtol=1e-9,
+    ),
+    Claim(
+        "an interval of a mean is Student's",
+        lambda: mean_interval(DIFFERENCES),
+        [T_INTERVAL[0], DIFFERENCES.mean(), T_INTERVAL[1]],
+        rtol=1e-12,
+    ),
+    Claim(
+        "so is the probability that a mean is above 0",
+        lambda: [probability_above_zero(sign * DIFFERENCES) for sign in (1, -1)],
+        [1 - T_TEST.pvalue, T_TEST.pvalue],
+        rtol=1e-9,
+    ),
+    Claim(
+        "equal numbers are surely above or below 0, and zeros as likely either",
+        lambda: [probability_above_zero(np.full(4, value)) for value in (-1.0, 0.0, 2.0)],
+        [0.0, 0.5, 1.0],
+    ),
+    Claim(
+        "an axis of ratios has equal steps of its logarithm, and its ends",
+        lambda: np.log10(points({"from": 1.0, "to": 1000.0, "count": 7, "spacing": "log"})),
+        np.linspace(0.0, 3.0, 7),
+        atol=2e-6,
+        why="six digits of a value",
+    ),
+    Claim(
+        "an axis of steps may fall, and may begin at 0",
+        lambda: points({"from": 4.0, "to": 0.0, "count": 5}),
+        [4.0, 3.0, 2.0, 1.0, 0.0],
     ),
     Claim("a film without a change has no error", lambda: film_error(0.0, 0.0), 0.0),
     Claim("a fifth of the last change is left", lambda: film_error(0.01, 0.0), 0.002, rtol=1e-12),
