@@ -4,27 +4,18 @@ said of them.
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import command
-from helpers.edits import VARIANT
+from helpers.edits import VARIANT, lens_xml, scene_file, sensor_xml
 
 from pixsim import evaluate, load_scene, render
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.lens_defocus import (
-    DEPTHS,
-    depth_of_disc_m,
-    depth_of_field_m,
-    finite_or_none,
-    signed_disc_um,
-)
+from pixsim.optics.camera import CameraOptions
+from pixsim.optics.lens_defocus import DEPTHS, depth_of_disc_m, finite_or_none, signed_disc_um
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.in_process import InProcessTracer
@@ -34,43 +25,26 @@ from pixsim.sensor.pixel_notes import focus_notes
 from pixsim.sensor.pixel_options import Pixel
 
 # A plane 0.3 m away, a part of the picture wide, turned about the vertical axis.
-SCENE = """<scene version="3.0.0">
-    <default name="focus" value="0.3"/>
-    <default name="degrees" value="0"/>
-    <default name="half_width" value="1"/>
-    <integrator type="direct"/>
-    <sensor type="thinlens">
-        <float name="fov" value="20"/>
-        <float name="aperture_radius" value="0.002"/>
-        <float name="focus_distance" value="$focus"/>
-        <transform name="to_world"><lookat origin="0, 0, -0.3" target="0, 0, 0" up="0, 1, 0"/></transform>
-        <film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/></film>
-        <sampler type="multijitter"><integer name="sample_count" value="16"/></sampler>
-    </sensor>
-    <emitter type="directional"><vector name="direction" x="0" y="0" z="1"/><spectrum name="irradiance" value="1"/></emitter>
-    <shape type="rectangle">
-        <transform name="to_world">
-            <scale x="$half_width" y="1"/><rotate y="1" angle="180"/><rotate y="1" angle="$degrees"/>
-        </transform>
-        <bsdf type="diffuse"/>
-    </shape>
-    <!-- more -->
-</scene>
-"""
+EYE = '<transform name="to_world"><lookat origin="0, 0, -0.3" target="0, 0, 0" up="0, 1, 0"/></transform>'
+PLANE = """<default name="degrees" value="0"/><default name="half_width" value="1"/>
+    <integrator type="direct"/><emitter type="directional"><vector name="direction" value="0, 0, 1"/>
+        <spectrum name="irradiance" value="1"/></emitter>
+    <shape type="rectangle"><transform name="to_world"><scale x="$half_width" y="1"/>
+        <rotate y="1" angle="180"/><rotate y="1" angle="$degrees"/></transform></shape>"""
 GLASS = """<shape type="rectangle">
     <transform name="to_world"><scale x="0.02" y="1"/><rotate y="1" angle="180"/><translate z="-0.1"/></transform>
     <bsdf type="thindielectric"/>
 </shape>"""
+HALF_M = 0.3 * math.tan(math.radians(10.0))  # of the view at the plane
 
 
-def scene_file(folder: Path, more: str = "") -> Path:
-    path = folder / "plane.xml"
-    path.write_text(SCENE.replace("<!-- more -->", more), encoding="utf-8")
-    return path
+def plane_file(folder: Path, more: str = "", focus_m: float = 0.3) -> Path:
+    sensor = sensor_xml(lens_xml(20, 0.002, focus_m) + EYE, size=(32, 32), spp=16)
+    return scene_file(folder, sensor, PLANE, more)
 
 
 def renderer_of(path: Path, variant: str | None = VARIANT, **parameters: float) -> Renderer:
-    scene = load_scene(str(path), variant=variant, **parameters)
+    scene = load_scene(path, variant=variant, **parameters)
     return Renderer(scene, scene.camera(), make_render_plan(scene, full=True), 0)
 
 
@@ -78,125 +52,72 @@ def test_depths_of_a_tilted_plane_are_those_of_its_equation(tmp_path: Path) -> N
     """A ray of slope t along x meets a plane that is turned by θ about the vertical at 0.3 m / (1 ±
     t tan θ).
     """
-    depths_m = InProcessTracer(renderer_of(scene_file(tmp_path), degrees=30.0).job).depths(8)[
-        :, :, 0
-    ]
-    slopes = math.tan(math.radians(10.0)) * (2 * (np.arange(8) + 0.5) / 8 - 1)
-    expected_m = 0.3 / (1 + slopes * math.tan(math.radians(30.0)))
-    turned = expected_m if depths_m[0, 0] > depths_m[0, -1] else expected_m[::-1]
-    np.testing.assert_allclose(depths_m, np.broadcast_to(turned, (8, 8)), rtol=1e-5)  # float32
+    renderer = renderer_of(plane_file(tmp_path), degrees=30.0)
+    depths_m = InProcessTracer(renderer.job).depths(8)[:, :, 0]
+    slopes = HALF_M / 0.3 * (2 * (np.arange(8) + 0.5) / 8 - 1)
+    expected_m = np.sort(0.3 / (1 + slopes * math.tan(math.radians(30.0))))
+    expected_m = np.broadcast_to(expected_m, (8, 8))
+    np.testing.assert_allclose(np.sort(depths_m, axis=1), expected_m, rtol=1e-5)  # float32
 
 
 @pytest.mark.parametrize("variant", [VARIANT, None])
 def test_depths_are_infinite_beyond_shapes_and_unknown_behind_glass(
     variant: str | None, tmp_path: Path
 ) -> None:
-    """The plane fills the middle half of the picture, 2 · 0.3 m · tan 10° wide, and glass its
-    middle.
+    """The plane fills the middle half of the picture, and glass its middle: what lies behind it may
+    be in focus.
     """
-    half_m = 0.3 * math.tan(math.radians(10.0)) / 2
-    renderer = renderer_of(
-        scene_file(tmp_path, GLASS.replace("0.02", str(half_m / 3))), variant, half_width=half_m
-    )
+    glass = GLASS.replace("0.02", str(HALF_M / 6))
+    renderer = renderer_of(plane_file(tmp_path, glass), variant, half_width=HALF_M / 2)
+    expected_m = [math.inf, math.inf, 0.3, math.nan, math.nan, 0.3, math.inf, math.inf]
     for tracer in (InProcessTracer(renderer.job), ChildTracer(renderer.job)):
-        row = tracer.depths(8)[4, :, 0]
-        assert np.isinf(row[[0, 1, 6, 7]]).all()
-        np.testing.assert_allclose(row[[2, 5]], 0.3, rtol=1e-6)
-        assert np.isnan(row[[3, 4]]).all()
-    assert renderer.depths_m == [], "what lies behind glass may be in focus"
+        np.testing.assert_allclose(tracer.depths(8)[4, :, 0], expected_m, rtol=1e-6)
+    assert renderer.depths_m == []
 
 
-def test_a_picture_at_infinity_is_seen_beyond_all_shapes(tmp_path: Path) -> None:
-    sky = '<emitter type="sunsky"/>'
-    assert renderer_of(scene_file(tmp_path), half_width=0.01).depths_m == pytest.approx(
-        [0.3] * 3, rel=1e-6
-    )
-    assert renderer_of(scene_file(tmp_path, sky), half_width=0.01).depths_m == pytest.approx(
-        [0.3, 0.3, math.inf], rel=1e-6
-    )
-
-
-@pytest.mark.parametrize(("pixel_um", "far"), [(5.0, True), (80.0, False)])
-def test_depth_of_field_closed_form(pixel_um: float, far: bool) -> None:
-    """u f²/(f² ± N c (u - f)), and infinity where the hyperfocal distance is nearer."""
-    camera = Camera(focal_length_mm=16.0, f_number=4.0, object_distance_m=1.0)
-    f2_mm2, spread_mm2 = 16.0**2, 4.0 * 1e-3 * pixel_um * (1000.0 - 16.0)
-    near_m, far_m = depth_of_field_m(camera, pixel_um)
-    assert near_m == pytest.approx(f2_mm2 / (f2_mm2 + spread_mm2), rel=1e-12)
-    assert (
-        (far_m == pytest.approx(f2_mm2 / (f2_mm2 - spread_mm2), rel=1e-12))
-        if far
-        else math.isinf(far_m)
-    )
+@pytest.mark.parametrize(("sky", "farthest_m"), [("", 0.3), ('<emitter type="sunsky"/>', math.inf)])
+def test_a_picture_at_infinity_is_seen_beyond_all_shapes(
+    sky: str, farthest_m: float, tmp_path: Path
+) -> None:
+    renderer = renderer_of(plane_file(tmp_path, sky), half_width=0.01)
+    assert renderer.depths_m == pytest.approx([0.3, 0.3, farthest_m], rel=1e-6)
 
 
 def light_of(depths_m: list[float]) -> SpectralImage:
-    return SpectralImage(
-        [550.0], 10.0, 5.0, data=np.ones((4, 4, 1)), header={DEPTHS: finite_or_none(depths_m)}
-    )
-
-
-LENSES = [{}, {"lens": LensOptions(file="singlet", focal_length_mm=16.0)}]
-
-
-@pytest.mark.parametrize("lens", LENSES, ids=["thin", "real"])
-def test_note_begins_where_the_least_disc_is_two_pixels(
-    lens: dict[str, Any], tmp_path: Path
-) -> None:
-    """Of a thin lens and of a real one, whose focus is its camera's, with foreground and background
-    further off.
-    """
-    camera = load_scene(str(scene_file(tmp_path)), variant=VARIANT).camera(
-        CameraOptions(die_mm=2.0, f_number=8.0), **lens
-    )
-    for side in (-1, 1):
-        for pixels, said in ((1.99, False), (2.01, True)):
-            sharpest_m = depth_of_disc_m(camera, side * pixels * 3.0)
-            assert abs(signed_disc_um(camera, sharpest_m)) == pytest.approx(pixels * 3.0, rel=1e-9)
-            notes = focus_notes(3.0, camera, light_of([0.2, sharpest_m, math.inf]))
-            assert len(notes) == said
-            assert all(
-                "focuses at 0.3 m, and the scene is at 0.2 m to infinity" in note for note in notes
-            )
-    assert not focus_notes(
-        3.0, camera, SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)))
-    ), "depths are not known"
+    header = {DEPTHS: finite_or_none(depths_m)} if depths_m else {}
+    return SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)), header=header)
 
 
 @pytest.mark.parametrize(
-    ("focus", "distance", "words"),
-    [
-        (0.3, None, ""),
-        (0.3, 0.4, "focuses at 0.4 m, and the scene is at 0.3 m"),
-        (300.0, None, "focuses at 300 m, and the scene is at 0.3 m"),
-    ],
-    ids=["in focus", "option", "XML in mm"],
+    "lens", [None, LensOptions(file="singlet", focal_length_mm=16.0)], ids=["thin", "real"]
 )
-def test_scene_out_of_focus_is_told_by_calls_and_commands(
-    focus: float, distance: float | None, words: str, tmp_path: Path
+def test_note_begins_where_the_least_disc_is_two_pixels(
+    lens: LensOptions | None, tmp_path: Path
 ) -> None:
-    path = scene_file(tmp_path)
-    scene = load_scene(str(path), variant=VARIANT, focus=focus)
-    light = render(scene, scene.camera(CameraOptions(object_distance_m=distance)))
+    """With foreground and background further off; and not where depths are not known."""
+    scene = load_scene(plane_file(tmp_path), variant=VARIANT)
+    camera = scene.camera(CameraOptions(die_mm=2.0, f_number=8.0), lens)
+    for side_um in (-3.0, 3.0):
+        for pixels, count in ((1.99, 0), (2.01, 1)):
+            sharpest_m = depth_of_disc_m(camera, side_um * pixels)
+            assert signed_disc_um(camera, sharpest_m) == pytest.approx(side_um * pixels, rel=1e-9)
+            notes = focus_notes(3.0, camera, light_of([0.2, sharpest_m, math.inf]))
+            assert len(notes) == count
+    assert not focus_notes(3.0, camera, light_of([]))
+
+
+@pytest.mark.parametrize(
+    ("focus_m", "distance_m", "count"), [(0.3, None, 0), (0.3, 0.4, 1), (300.0, None, 1)]
+)
+def test_scene_out_of_focus_is_said(
+    focus_m: float, distance_m: float | None, count: int, tmp_path: Path
+) -> None:
+    """By an option, or by an XML in mm."""
+    scene = load_scene(plane_file(tmp_path, focus_m=focus_m), variant=VARIANT)
+    camera = scene.camera(CameraOptions(object_distance_m=distance_m))
+    light = render(scene, camera)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        evaluate(
-            light, scene.camera(CameraOptions(object_distance_m=distance)), Pixel(pitch_um=8.0)
-        )
-    notes = [str(warning.message) for warning in caught if "in focus" in str(warning.message)]
-    assert len(notes) == bool(words)
-    assert all(words in note for note in notes)
-
-    option = f"--camera.object-distance-m {distance}" if distance else ""
-    line = (
-        f"run {path} -D focus={focus} --variant {VARIANT} --resolution 32 --pixel.pitch-um 8"
-        " --display.dots 32 --render-noise 1"
-    )
-    code, out, err = command(f"{line} {option} --json --out {tmp_path / 'out'}")
-    assert code == 0, err
-    assert (f"nothing in view is in focus: the camera {words}" in " ".join(err.split())) == bool(
-        words
-    )
-    result = json.loads(out)
-    limits = finite_or_none(depth_of_field_m(Camera.model_validate(result["camera"]), 8.0))
-    assert result["in_focus_m"] == result["plan"]["in_focus_m"] == limits
+        evaluate(light, camera, Pixel(pitch_um=8.0))
+    notes = [str(warning.message) for warning in caught]
+    assert sum("scene is at 0.3 m" in note for note in notes) == count

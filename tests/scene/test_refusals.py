@@ -1,0 +1,372 @@
+"""What scenes, charts and pictures are refused for: a row each, with the words that matter.
+
+Fields and arguments out of their range stand in tests/test_refusals.py and test_arguments.py.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.edits import END, NEEDS_NO_CARD, edited, lens_xml, load, scene_file, sensor_xml
+from PIL import Image
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.light.exr import write_channels
+from pixsim.scene import charts
+from pixsim.scene.mitsuba import mitsuba_session
+from pixsim.scene.own_chart import read_luminance
+from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.scene.variants import variant
+
+CASES = Path(__file__).parents[1] / "data/cases"
+PATH = '<integrator type="path"/>'
+CONSTANT = '<emitter type="constant"/>'
+FOV, APERTURE, FOCUS = re.findall("<.*?>", lens_xml())
+POINT = '<emitter type="point">{}</emitter>'
+COLD = (
+    '<spectrum type="blackbody" name="intensity"><float name="temperature" value="{}"/></spectrum>'
+)
+LUX = '<default name="lux" value="1000"/>'
+NOWHERE = (
+    '<transform name="to_world"><lookat origin="0,0,0" target="0,0,0" up="0,1,0"/></transform>'
+)
+SRGB = '<texture type="srgb" name="eta"><rgb name="color" value=".1 .3 .9"/></texture>'
+ONE_NODE = (
+    '<spectrum type="irregular" name="eta"><string name="wavelengths" value="500"/>'
+    '<string name="values" value="1"/></spectrum>'
+)
+BLACK_WALL = '<shape type="rectangle"><emitter type="area"/></shape>'  # seen from behind
+LAMPS = (
+    '<default name="white_lamps" value=""/><shape type="disk"><emitter type="area" id="lamp"/></shape>'
+    '<emitter type="spot" id="spot"/>'
+    '<emitter type="constant" id="dark"><spectrum name="radiance" value="0"/></emitter>'
+    '<emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>'
+)
+
+
+def loaded(*elements: str, **parameters: object) -> Callable[[Path], object]:
+    """Load a scene of some elements and its sensor."""
+    return lambda folder: load(scene_file(folder, sensor_xml(), *elements), **parameters)
+
+
+def seen(*elements: str) -> Callable[[Path], object]:
+    """Render a scene of some elements."""
+    return lambda folder: pixsim.render(load(scene_file(folder, sensor_xml(), *elements)))
+
+
+def sensors(*elements: str) -> Callable[[Path], object]:
+    return lambda folder: load(scene_file(folder, *elements))
+
+
+def changed(name: str, *edits: tuple[str, str], **parameters: object) -> Callable[[Path], object]:
+    """Load a packaged scene after some edits."""
+    return lambda folder: load(edited(folder, name, *edits), **parameters)
+
+
+def metal(inside: str) -> str:
+    index = f'{inside}<float name="k" value="2"/>'
+    return f'<shape type="disk"><bsdf type="conductor" id="metal">{index}</bsdf></shape>'
+
+
+def ball(bsdf: str, inside: str) -> str:
+    return f'<shape type="sphere"><bsdf type="{bsdf}">{inside}</bsdf></shape>'
+
+
+def file(name: str) -> str:
+    return f'<string name="filename" value="{name}"/>'
+
+
+SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
+    # Its file and its parameters
+    "no scene of this name": (lambda _: load("csv"), r"'csv'; .*Did you mean 'csf'"),
+    "no file": (lambda _: load("no/such.xml"), "folder 'no' does not exist"),
+    "a folder": (lambda folder: load(folder), "a folder"),
+    "a picture": (lambda _: load("star.png"), "csf with chart='star.png'"),
+    "an empty file": (lambda folder: load(raw(folder, b"")), r"scene\.xml.*readable XML"),
+    "half a file": (lambda folder: load(raw(folder, b"<scene>")), r"scene\.xml.*readable XML"),
+    "another encoding": (lambda folder: load(raw(folder, b"<a>\xff\xfe</a>")), "in UTF-8"),
+    "an unknown parameter": (lambda _: load("csf", spq=1), "'spq'.*Did you mean 'spp'"),
+    "a name in a comment": (loaded("<!-- $ghost -->", ghost=1), "'ghost'"),
+    "a parameter of an include": (
+        lambda folder: load(including(folder), dept=2),
+        "Did you mean 'depth'",
+    ),
+    "a sample count": (lambda _: load("flat", spp=2**20 + 1), "spp: got 1048577"),
+    "a film": (
+        lambda _: pixsim.render(load("flat", resolution=16385)),
+        "resolution: got 16385",
+    ),
+    # Its sensor
+    "no sensor": (sensors(), "got no sensor"),
+    "two sensors": (
+        sensors(sensor_xml(name="left"), sensor_xml(name="right")),
+        "'left', 'right'.*--sensor",
+    ),
+    "no such sensor": (lambda _: load("csf", sensor="tele"), "'tele'"),
+    "a pinhole": (sensors(sensor_xml(FOV, "perspective")), "'perspective'.*thinlens"),
+    "no aperture": (sensors(sensor_xml(FOV + FOCUS)), "thinlens without aperture_radius"),
+    "no focus": (sensors(sensor_xml(FOV + APERTURE)), "thinlens without focus_distance"),
+    "no field of view": (sensors(sensor_xml(APERTURE + FOCUS)), "thinlens without fov"),
+    "no light through the lens": (sensors(sensor_xml(lens_xml(aperture_m=0))), "aperture_radius: got 0"),
+    "focus behind the lens": (sensors(sensor_xml(lens_xml(focus_m=-1))), "focus_distance: got -1"),
+    "half a turn in view": (sensors(sensor_xml(lens_xml(fov_deg=180))), "fov: got 180"),
+    "a shifted die": (
+        sensors(sensor_xml(lens_xml() + '<float name="principal_point_offset_x" value="0.1"/>')),
+        "principal_point_offset_x",
+    ),
+    "an aperture of no thin lens": (
+        lambda folder: load(scene_file(folder, sensor_xml(lens_xml(aperture_m=0.2)))).camera(),
+        "f_number = .* too small for a thin lens",
+    ),
+    "samples in words": (
+        sensors(sensor_xml().replace('<integer name="width" value="8"', '<string name="width" value="a"')),
+        "width",
+    ),
+    "a crop": (
+        changed("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>')),
+        "an uncropped film",
+    ),
+    "a camera in a medium": (
+        sensors(sensor_xml(lens_xml() + '<medium type="homogeneous"/>')),
+        "camera in a medium",
+    ),
+    # What it uses
+    "another integrator": (changed("macbeth", (PATH, '<integrator type="ptracer"/>')), "'ptracer' in line"),
+    "depths": (
+        changed("macbeth", (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>')),
+        "got 'aov'",
+    ),
+    "a medium by path": (changed("macbeth", (END, '<medium type="homogeneous" id="fog"/>')), "volpath"),
+    "dispersive glass": (
+        changed("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>')),
+        "dispersive",
+    ),
+    "a colour as an index": (loaded(CONSTANT, metal(SRGB)), r"conductor\.eta.*material.*<spectrum>"),
+    "an RGB index in a file": (lambda _: load(CASES / "4-05-metal-rgb-eta-k/gold_rgb.xml"), r"eta.* in line 10"),
+    "an index of one value": (
+        lambda folder: make_render_plan(loaded(CONSTANT, metal(ONE_NODE))(folder)),
+        "the index of 'metal'.*at least two",
+    ),
+    "a normal map in colours": (
+        lambda _: load(CASES / "4-07-normalmap-not-raw/nm.xml"),
+        r"normalmap 'nm\.png'.*raw = true",
+    ),
+    "a place nowhere": (loaded(f"\n{ball('diffuse', '').replace('</shape>', NOWHERE + '</shape>')}"), "In line 5"),
+    "no such texture": (
+        loaded(ball("diffuse", f'<texture type="bitmap" name="reflectance">{file("no")}</texture>')),
+        "texture: got 'no', which does not exist, in line 4",
+    ),
+    "no such mesh": (loaded(f'<shape type="obj">{file("no")}</shape>'), "mesh: got 'no'"),
+    "no such spectrum": (
+        loaded(ball("diffuse", '<spectrum name="reflectance" filename="no"/>')),
+        "spectrum: got 'no'",
+    ),
+    "no such chart": (lambda _: load("flat", chart="nowhere.exr"), r"'nowhere\.exr', which does not exist"),
+    "half a chart": (lambda folder: pixsim.render(load("flat", chart=str(torn(folder)), resolution=8)), r"torn\.exr"),
+    # Its light
+    "no lamp": (lambda folder: make_plan(loaded(ball("diffuse", ""))(folder)), "no emitter with light"),
+    "a lamp that is too cold": (
+        lambda folder: make_render_plan(loaded(POINT.format(COLD.format("1e-30")))(folder)),
+        "spectrum: got NaN",
+    ),
+    "a black picture": (seen(BLACK_WALL), "black picture.*face the camera"),
+    "a black chart": (lambda folder: pixsim.render(load("flat", chart=str(black(folder)), resolution=8)), "no picture of a lamp is 0"),
+    "hidden emitters": (
+        lambda folder: pixsim.render(changed("csf", ('<integer name="max_depth" value="2"/>', '<boolean name="hide_emitters" value="true"/>'), resolution=8)(folder)),
+        "hide_emitters",
+    ),
+    "lux beside luminance": (lambda _: load("csf", lux=500, luminance_cd_per_m2=10), "lux: .*one of them"),
+    "lux that is none": (lambda _: load("macbeth", lux="bright"), "lux: got 'bright'"),
+    "lux of no stated place": (loaded(CONSTANT, lux=500), "'lux'"),
+    "lux of a picture": (
+        lambda folder: loaded(LUX, f'<emitter type="envmap">{file("sky.exr")}</emitter>', lux=500)(with_sky(folder)),
+        "light of the emitters is unknown",
+    ),
+    "lux of a black body": (loaded(LUX, POINT.format(COLD.format(3000)), lux=500), "'point' in line 4.*another form"),
+    "luminance without its scale": (loaded(CONSTANT, luminance_cd_per_m2=100), "'luminance_cd_per_m2'"),
+    "luminance of no light": (lambda _: load("flat", luminance_cd_per_m2=-5), "luminance_cd_per_m2: got"),
+    "white of no lamp": (lambda folder: loaded(LAMPS, white_lamps="lamp, sun")(with_sky(folder)), "'sun'"),
+    "white in two units": (lambda folder: loaded(LAMPS, white_lamps="lamp, spot")(with_sky(folder)), "one unit"),
+    "white of a dark lamp": (lambda folder: loaded(LAMPS, white_lamps="dark")(with_sky(folder)), "dark"),
+    "white of a picture": (lambda folder: loaded(LAMPS, white_lamps="sky")(with_sky(folder)), "varies"),
+    "white of a scene without it": (lambda _: load("macbeth", white_lamps="lamp"), "'white_lamps'"),
+    "beyond its tables": (lambda _: load("macbeth", beyond_tables="keep"), "beyond_tables: got 'keep'"),
+    # Its target
+    "two sizes": (lambda _: load("target", size_mm=3, size_um=3), "size_mm and size_um"),
+    "the size of an edge": (lambda _: load("target", shape="edge", size_mm=3), "'edge', which has no size"),
+    "the direction of a disc": (lambda _: load("target", direction="vertical"), "'disc', which has none"),
+    "a target on another chart": (lambda _: load("target", chart="charts/flat.exr", contrast=0.1), "'contrast'"),
+    "the target of another chart": (lambda _: load("flat").target, r"chart of 'flat\.xml'"),
+    "a target larger than its field": (lambda _: drawn(size_mm=1000), "size of the target.* in a field"),
+    "a bar longer than its field": (lambda _: drawn(shape="bar", size_mm=200), "200 × 1000 mm"),
+    "a contrast that float32 loses": (lambda _: drawn(contrast=1e-6), "contrast.*at least 1e-05"),
+    "a target that no cell shows": (lambda _: drawn(size_um=0.01), "contrast.*no film cell"),
+    "a target of unknown place": (
+        changed("target", ('y="$chart_half_height"', 'y="0.35"')),
+        "without the parameter chart_half_height",
+    ),
+    # Charts
+    "no such kind": (lambda _: pixsim.make_chart("nope"), "'nope'.*siemens_star"),
+    "one texel": (lambda _: pixsim.make_chart("csf", width=1), "2 to 32768"),
+    "the die of a flat field": (lambda _: pixsim.make_chart("flat", die_mm=2.0), "die_mm.*csf and target"),
+    "the contrast of a flat field": (lambda _: pixsim.make_chart("flat", contrast=0.1), "contrast"),
+    "a target without a camera": (lambda _: pixsim.make_chart("target", size_mm=3), "size_um"),
+    "a file that is no EXR": (lambda folder: charts.write_chart(folder / "a.png", charts.flat()), r"\.exr"),
+    "a chart below its lowest frequency": (lambda _: charts.csf_file(0.3, 8.0), r"max_lp_per_mm.*0\.373"),
+    # Mitsuba
+    "an error in a kernel": (
+        lambda _: failing("while performing a custom operation. (see above).", "[a.cpp:12] no colours"),
+        "scene: no colours$",
+    ),
+    "an error beside another": (lambda _: failing("[scene.cpp:3] a reason", "another"), "scene: a reason$"),
+    "another variant": (lambda _: variant.choose("scalar_rgb"), "'scalar_rgb'"),
+    "two whites": (
+        lambda _: pixsim.run("csf", display={"white": "diffuser", "white_cd_per_m2": 100.0}),
+        "same quantity",
+    ),
+}  # fmt: skip
+
+
+def raw(folder: Path, content: bytes) -> Path:
+    path = folder / "scene.xml"
+    path.write_bytes(content)
+    return path
+
+
+def including(folder: Path) -> Path:
+    depth = '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>'
+    text = f'<scene version="3.0.0"><default name="depth" value="3"/>{depth}</scene>'
+    (folder / "part.xml").write_text(text, encoding="utf-8")
+    return edited(folder, "macbeth", (PATH, '<include filename="part.xml"/>'))
+
+
+def torn(folder: Path) -> Path:
+    content = (Path(load("flat").path).parent / "charts/slanted_edge.exr").read_bytes()
+    path = folder / "torn.exr"
+    path.write_bytes(content[: len(content) // 2])
+    return path
+
+
+def black(folder: Path) -> Path:
+    pixsim.write_chart(folder / "black.exr", np.zeros((4, 4), np.float32))
+    return folder / "black.exr"
+
+
+def with_sky(folder: Path) -> Path:
+    write_channels(folder / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
+    return folder
+
+
+def drawn(**parameters: object) -> Any:
+    scene = load("target", **parameters).with_resolution(128)
+    return make_render_plan(scene, exact=True)
+
+
+def failing(text: str, cause: str) -> None:
+    with mitsuba_session("scalar_spectral"):
+        raise RuntimeError(text) from RuntimeError(cause)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_and_charts_are_refused(name: str, tmp_path: Path) -> None:
+    call, words = SCENES[name]
+    with pytest.raises(PixsimError, match=f"(?s){words}"):
+        call(tmp_path)
+
+
+@NEEDS_NO_CARD
+def test_card_that_is_not_there_is_refused() -> None:
+    with pytest.raises(PixsimError, match=r"'cuda_ad_spectral'.*Leave out --variant"):
+        pixsim.load_scene("flat", variant="cuda_ad_spectral")
+
+
+# --- Pictures ---
+
+HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"
+PNG = Image.fromarray(np.random.default_rng(1).integers(0, 256, (20, 30, 3), np.uint8))
+
+
+def bomb(path: Path) -> None:
+    """The head is enough: nothing is decompressed."""
+    size = struct.pack(">4sIIBBBBB", b"IHDR", 30000, 30000, 1, 0, 0, 0, 0)
+    end = struct.pack(">I4sI", 0, b"IDAT", zlib.crc32(b"IDAT"))
+    head = struct.pack(">I", 13) + size + struct.pack(">I", zlib.crc32(size))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + end)
+
+
+def cut(path: Path) -> None:
+    PNG.save(path)
+    path.write_bytes(path.read_bytes()[:-900])
+
+
+def of_channels(path: Path, names: tuple[str, ...]) -> None:
+    write_channels(path, dict.fromkeys(names, np.full((4, 4), np.nan, np.float32)), {})
+
+
+PICTURES: list[tuple[str, Callable[[Path], object], str]] = [
+    ("a.png", lambda path: path.write_bytes(b"no picture"), "readable picture"),
+    ("a.png", cut, "readable picture|damaged"),
+    ("a.tiff", cut, "readable picture|damaged"),
+    ("a.png", bomb, "exceeds limit"),
+    ("a.png", lambda path: Image.new("RGBA", (4, 4)).save(path), "transparent"),
+    ("a.png", lambda path: Image.new("L", (4, 4)).save(path), "not all 0"),
+    ("a.tif", lambda path: Image.new("F", (4, 4)).save(path), "mode F"),
+    ("a.exr", lambda path: of_channels(path, ("R", "G", "B")), "finite luminances"),
+    ("a.exr", lambda path: of_channels(path, ("depth", "id")), "R, G and B, or Y"),
+    ("a.exr", lambda path: path.write_bytes(b"no picture"), "EXR file"),
+    ("a.hdr", lambda path: path.write_bytes(b"no picture"), "Radiance header"),
+    ("a.hdr", lambda path: path.write_bytes(HDR + b"-Y 16000 +X 16000\n"), "times its size"),
+    ("a.hdr", lambda path: path.write_bytes(HDR + b"-Y 99999 +X 99999\n"), "samples"),
+    ("a.hdr", lambda path: path.write_bytes(HDR + b"-Y 16 +X 16\n\2\2"), "Mitsuba cannot|values"),
+    ("a.gif", lambda path: path.write_bytes(b"GIF89a"), "PNG, JPEG, TIFF"),
+    ("a.png", Path.mkdir, "a folder"),
+    ("a.png", os.mkfifo, "a named pipe"),
+    ("a.png", str, "does not exist"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "write", "words"), PICTURES)
+def test_pictures_are_refused(
+    name: str, write: Callable[[Path], object], words: str, tmp_path: Path
+) -> None:
+    write(tmp_path / name)
+    with pytest.raises(PixsimError, match=words):
+        read_luminance(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("run csf --linear", ["chart_linear", "without a chart"]),
+        ("run csf -D chart=star.exr --linear", ["chart_linear", "linear already"]),
+        ("run macbeth --linear", ["chart_linear"]),
+        ("run csf -D chart=bad.png", ["bad.png", "readable picture"]),
+        ("run csf -D chart=gone.png", ["gone.png", "does not exist"]),
+        ("chart mine.png -o out.exr --width 100", ["--width", "mine.png"]),
+        ("chart mine.png -o out.png", [".exr"]),
+        ("chart csf -o out.exr --linear", ["--linear", "a picture"]),
+        ("plan nowhere", ["nowhere", "csf, flat"]),
+        ("plan csf -D resolutoin=3", ["'resolution'"]),
+        ("plan csf --pixel.pitch-um 1", ["pitch_um"]),
+        ("plan", ["SCENE"]),
+    ],
+)
+def test_commands_on_charts_are_refused(
+    line: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    PNG.save("mine.png")
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    pixsim.write_chart("star.exr", charts.flat())
+    assert_refused(*command(line), words)
+    assert not (tmp_path / "out.exr").exists()
