@@ -12,7 +12,6 @@ import doctest
 import importlib
 import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass
 from functools import cache, cached_property
@@ -297,44 +296,6 @@ def test_exceptions_are_needed() -> None:
         for rule, _ in complaints(name, function)
     }
     assert set(EXCEPTIONS) <= needed
-
-
-def bad(source: str) -> set[str]:
-    """Rules that the source of a function violates, as a kernel of `pixsim.optics.thin_lens`."""
-    scope: dict[str, Any] = {"__name__": "pixsim.optics.thin_lens"}
-    source = "from __future__ import annotations\n" + textwrap.dedent(source)
-    exec(compile(source, "bad", "exec", dont_inherit=True), scope)
-    (tree,) = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef))
-    return {
-        rule
-        for rule, _ in complaints(f"pixsim.optics.thin_lens.{tree.name}", scope[tree.name], tree)
-    }
-
-
-def test_rules_reject_incomplete_docstrings() -> None:
-    assert bad("def f(x: Array) -> Array: pass") == {"docstring"}
-    assert bad('def f(x: Array) -> Array:\n    """Of light."""') == {
-        "parameter",
-        "shape",
-        "unit",
-        "source",
-    }
-    assert bad('def f(x: Array) -> Array:\n    """Of x, (H, W) sr. Foote 1915."""') == set()
-    assert bad('def f(speed: float) -> int:\n    """At a speed."""') == {"unit"}
-    assert bad('def f(x_nm: float) -> int:\n    """More."""') == set()
-    assert bad('def f(x_nm: float) -> int:\n    """More."""\n    raise invalid(1, 2, "3")') == {
-        "errors"
-    }
-    assert bad(
-        'def f(x_nm: float) -> int:\n    """More."""\n    return irradiance_factor(x_nm, 0)'
-    ) == {"errors"}
-    assert (
-        bad(
-            'def f(x_nm: float) -> int:\n    """Raises PixsimError for 3."""\n    raise invalid(1,'
-            ' 2, "3")'
-        )
-        == set()
-    )
 
 
 # Functions for beginners, and kernels with a published number.

@@ -23,6 +23,7 @@ from helpers.documents import (
     first_study,
     updated,
 )
+from PIL import Image
 
 import pixsim
 from pixsim.optics.camera import Camera
@@ -100,35 +101,6 @@ def test_page_blocks_give_shown_output(
 def test_page_with_numbers_names_machine(path: Path) -> None:
     if any({"output", "picture"} & block.comments.keys() for block in blocks_of(text_of(path))):
         assert f"]({os.path.relpath(MADE_ON, path.parent)})" in text_of(path)
-
-
-LIMITS = re.compile(
-    r"(?:at most|estimate of|limit of|up to|more than) \d+ (?:GiB|MiB|MB)"
-)  # not measured
-TIMES = re.compile(
-    r"\d (?:GiB|MiB|MB|GB|minutes?|seconds)\b|\d s[,;:.]|\d s on|(?:two|2) cores|\b(?:a|half a)"
-    r" minute\b"
-)
-
-
-@pytest.mark.parametrize(
-    "path", [page for page in PAGES if page.name != "costs.md"], ids=lambda path: path.name
-)
-def test_page_states_no_run_time_or_memory(path: Path) -> None:
-    """They depend on the machine: docs/costs.md has them, with the machine and the commands.
-
-    A page of the gallery says what it takes, in a line that tests/benchmarks/gallery.py writes.
-    """
-    inside, found = False, []
-    for line in text_of(path).splitlines():
-        inside ^= line.startswith("```")
-        if (
-            not inside
-            and not line.startswith("**It takes**")
-            and (time := TIMES.search(LIMITS.sub("", line)))
-        ):
-            found.append(f"{time[0]!r} in {line!r}")
-    assert not found
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
@@ -217,37 +189,8 @@ def has(home: object, name: str) -> bool:
     return name in fields or hasattr(home, name) or name == getattr(home, "__name__", "")
 
 
-def test_glossary_has_all_symbols() -> None:
-    terms = " ".join(f"{term} {meaning}" for term, meaning, _ in PAPER_TERMS)
-    for symbol in (
-        *("q_max", "i_dc", "i_ph", "t_int", "σ_r²", "DR", "SNR"),
-        *("fill factor", "MTF", "f/#", "ΔE"),
-    ):
-        assert symbol in terms, symbol
-
-
 # --- The runner itself
 # ---------------------------------------------------------------------------------------
-
-
-def test_blocks_of_parses_comments() -> None:
-    text = (
-        "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```sh\ntrue\n```\n\n<!-- picture: made.svg"
-        " -->\n![a](b.svg)\n"
-    )
-    file, command, picture = blocks_of(text)
-    assert (file.language, file.text, file.comments, file.line) == (
-        "toml",
-        "x = 1\n",
-        {"file": "a.toml"},
-        2,
-    )
-    assert (command.language, command.comments) == ("sh", {})
-    assert (picture.language, picture.text, picture.comments) == (
-        "picture",
-        "b.svg",
-        {"picture": "made.svg"},
-    )
 
 
 @pytest.mark.parametrize(
@@ -324,31 +267,32 @@ def test_page_with_wrong_output_fails(text: str, tmp_path: Path) -> None:
 
 
 def test_alike_pictures_detects_changes(tmp_path: Path) -> None:
-    from PIL import Image
-
-    grey = np.full((20, 30), 100, np.uint8)
-    halves = np.where(np.arange(30) < 15, grey, 130).astype(np.uint8)
-    noise, stripes = (grey + size * (-1) ** np.arange(30) for size in (10, 14))
+    """Rounding and noise of other processors are alike; details, hues and sizes are not."""
+    grey = np.full((20, 30, 3), 100)
+    columns = np.arange(30)[:, None]
     pictures = {
-        "a": grey,
-        "b": grey + 1,
-        "c": halves,
-        "d": grey[:10],
-        "noise": noise,
-        "stripes": stripes,
+        "rounded": (grey + 1, True),
+        "noise": (grey + 10 * (-1) ** columns, True),
+        "stripes": (grey + 14 * (-1) ** columns, False),
+        "halves": (grey + 30 * (columns > 14), False),
+        "hue": (grey + np.array([9, -9, 0]), False),
+        "cut": (grey[:10], False),
     }
-    for name, picture in pictures.items():
+    Image.fromarray(grey.astype(np.uint8)).save(tmp_path / "grey.png")
+    for name, (picture, is_alike) in pictures.items():
         Image.fromarray(picture.astype(np.uint8)).save(tmp_path / f"{name}.png")
-    Image.fromarray(np.stack([grey + 9, grey - 9, grey], axis=2)).save(tmp_path / "hue.png")
-    assert not alike_pictures(tmp_path / "a.png", tmp_path / "hue.png")
-    assert alike_pictures(tmp_path / "a.png", tmp_path / "noise.png")
-    assert not alike_pictures(tmp_path / "a.png", tmp_path / "stripes.png")
-    for name, start in {"a": "path d", "b": "path d", "c": "path d", "d": "g d"}.items():
-        x = {"b": 1.001, "c": 9.0}.get(name, 1.0)
-        (tmp_path / f"{name}.svg").write_text(f'<{start}="M {x} 2.0"/>', encoding="utf-8")
-    for kind in ("png", "svg"):
-        same = {
-            name: alike_pictures(tmp_path / f"a.{kind}", tmp_path / f"{name}.{kind}")
-            for name in "abcd"
-        }
-        assert same == {"a": True, "b": True, "c": False, "d": False}
+        assert alike_pictures(tmp_path / "grey.png", tmp_path / f"{name}.png") == is_alike, name
+
+
+@pytest.mark.parametrize(
+    ("svg", "is_alike"),
+    [
+        ('<path d="M 1.001 2.0"/>', True),
+        ('<path d="M 9.0 2.0"/>', False),
+        ('<g d="M 1.0 2.0"/>', False),
+    ],
+)
+def test_alike_drawings_have_the_same_shapes(svg: str, is_alike: bool, tmp_path: Path) -> None:
+    (tmp_path / "a.svg").write_text('<path d="M 1.0 2.0"/>', encoding="utf-8")
+    (tmp_path / "b.svg").write_text(svg, encoding="utf-8")
+    assert alike_pictures(tmp_path / "a.svg", tmp_path / "b.svg") == is_alike

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from datetime import datetime
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 from helpers import validation
@@ -76,12 +75,6 @@ def test_every_public_name_of_1_0_is_there_or_on_the_page() -> None:
     assert is_lost("pixsim.base.parameters.Axis.no_such_field")
 
 
-def test_names_are_read_from_the_page() -> None:
-    assert len(ROWS) > 8
-    assert found("pixsim.study")
-    assert not found("pixsim.no_such_name")
-
-
 def test_citation_and_changelog_state_this_version_and_its_day() -> None:
     """Of the newest release; what is "(unreleased)" above it has no day."""
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
@@ -114,12 +107,3 @@ def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None
         in text
     )
     assert "|  |" not in text, "a file without a docstring"
-
-
-def test_validation_counts_tests_of_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "test_made_up.py"
-    file.write_text(
-        '"""A line.\n\nMore."""\n\ndef test_one():\n    def helper(): pass\n\ndef no(): pass\n\ndef'
-        " test_two(): pass\n"
-    )
-    assert (validation.first_line(file), validation.count(file)) == ("A line", 2)

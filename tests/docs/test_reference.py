@@ -52,27 +52,3 @@ def test_site_has_a_directive_for_each_text() -> None:
         made = reference_text.with_directives(page)
         assert re.findall(r"^\.\. auto\w+:: (.+)$", made, re.MULTILINE) == names
         assert "### `" not in made
-
-
-def test_text_of_a_function() -> None:
-    """The signature as in the source, then arguments, errors and the example."""
-    text = reference_text.text_of("pixsim.delta_e_map", None)
-    assert text.startswith(
-        "### `pixsim.delta_e_map`\n\n```python\ndelta_e_map(\n    reference_xyz: ArrayLike,\n"
-    )
-    assert "    *,\n    white_xyz: ArrayLike,\n" in text
-    assert "\n- `white_xyz`: (3,) XYZ of the white that the viewer is adapted to\n" in text
-    assert "\nRaises `PixsimError` " in text
-
-
-@pytest.mark.parametrize(
-    ("plain", "markdown"),
-    [
-        ("a*b, `a*b`", r"a\*b, `a*b`"),
-        ("1. not a list", r"1\. not a list"),
-        ("t_int and _x", r"t_int and \_x"),
-        ("a < b", r"a \< b"),
-    ],
-)
-def test_marks_are_escaped(plain: str, markdown: str) -> None:
-    assert reference_text.escaped(plain) == markdown

@@ -4,10 +4,8 @@ narrow screens.
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
-import socket
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -17,12 +15,8 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from helpers.browser import in_frames, needs_browser, print_page
+from helpers.browser import in_frames, needs_browser
 from helpers.processes import HANG_S
-from helpers.public_names import CLASSES, PUBLIC, fields
-
-import pixsim
-from pixsim.cli.commands import app
 
 for needed in ("sphinx", "myst_parser", "furo"):
     if find_spec(needed) is None:  # not imported, which takes a second of each worker's collection
@@ -139,32 +133,6 @@ def test_site_has_no_dead_links(pages: dict[Path, Page]) -> None:
     assert checked > 1000
 
 
-def test_dead_links_detects_missing_targets(tmp_path: Path) -> None:
-    path = tmp_path.resolve() / "a.html"
-    path.write_text(
-        '<p id="here"><a href="#here"></a><a href="a.html#gone"></a><a href="b.html"></a>',
-        encoding="utf-8",
-    )
-    assert dead_links({path: Page(path)}) == (
-        ["a.html: a.html#gone, no such anchor", "a.html: b.html"],
-        3,
-    )
-
-
-def test_site_external_links_are_well_formed(pages: dict[Path, Page]) -> None:
-    elsewhere = {
-        link
-        for page in pages.values()
-        for link in page.links
-        if urlsplit(link).scheme not in ("", "mailto")
-    }
-    assert elsewhere
-    assert all(
-        urlsplit(link).scheme == "https" and re.fullmatch(r"[\w.-]+\.\w+", urlsplit(link).netloc)
-        for link in elsewhere
-    )
-
-
 def test_site_loads_nothing_from_network(site: Path, pages: dict[Path, Page]) -> None:
     fetched = [(path, link) for path, page in pages.items() for link in page.fetched]
     assert fetched
@@ -187,72 +155,6 @@ def test_site_loads_nothing_from_network(site: Path, pages: dict[Path, Page]) ->
         assert not re.search(r"(fetch|importScripts|import|open)\(\s*['\"`](https?:)?//", code), (
             script
         )
-
-
-def test_reference_has_every_public_name(site: Path, pages: dict[Path, Page]) -> None:
-    """Functions, classes, methods and fields of records; what a record inherits is described with
-    either.
-    """
-    entries = {
-        anchor for path, page in pages.items() if "reference" in path.parts for anchor in page.ids
-    }
-    public = [getattr(pixsim, name) for name in pixsim.__all__]
-    heirs = [
-        kind
-        for kind in CLASSES.values()
-        if any(kind in getattr(thing, "__mro__", ())[1:] for thing in public)
-    ]
-    names = set(PUBLIC)
-    names |= {
-        f"{name}.{field}"
-        for name, kind in CLASSES.items()
-        if kind not in heirs
-        for field in fields(kind)
-    }
-
-    def described_with_base(name: str) -> bool:
-        owner, _, attribute = name.rpartition(".")
-        bases = CLASSES[owner].__mro__[1:] if owner in CLASSES else ()
-        return any(
-            f"{base.__module__}.{base.__qualname__}.{attribute}" in entries for base in bases
-        )
-
-    def described_at_home(name: str) -> bool:
-        """Whether a function of a module with a short name, as `pixsim.display`, stands under the
-        name of its module.
-        """
-        function = inspect.unwrap(PUBLIC[name]) if inspect.isfunction(PUBLIC.get(name)) else None
-        return function is not None and f"{function.__module__}.{function.__qualname__}" in entries
-
-    assert {
-        name
-        for name in names - entries
-        if not (described_with_base(name) or described_at_home(name))
-    } == set()
-    assert "pixsim.base.records.Record.content_hash" in entries
-
-
-@pytest.mark.parametrize("name", [name for name in app if not name.startswith("-")])
-def test_reference_has_every_command_and_option(name: str, site: Path) -> None:
-    text = re.sub(
-        r"<[^>]+>", "", (site / "reference/command_line.html").read_text(encoding="utf-8")
-    )
-    words = {
-        word
-        for argument in app[name].assemble_argument_collection()
-        if argument.show
-        for word in argument.names
-    }
-    words = {
-        word for word in words if not word.startswith(("--no-", "--empty-"))
-    }  # the app has none
-    assert words
-    section = re.split(r"\n\s*pixsim \w+¶", text[text.index(f"pixsim {name}¶") :])[0]
-    assert {word for word in words if word not in section} == set()
-    assert f"\npixsim {name} " in section, "no usage"
-    assert not re.search(r"^-?[^:\n]+: *\[(required|default|choices)", section, re.MULTILINE), (
-        "an option without a description"
-    )
 
 
 def anchors(path: Path) -> set[str]:
@@ -360,68 +262,3 @@ def test_site_pages_fit_width(width: int, pages: dict[Path, Page], tmp_path: Pat
         assert needed <= available, path
         assert missing == [], path
         assert out == [], path
-
-
-@needs_browser
-def test_measured_detects_overflow(tmp_path: Path) -> None:
-    page = tmp_path / "wide.html"
-    page.write_text(
-        '<title>w</title><article><p style="width: 600px">w<img src="gone.png"></article>',
-        encoding="utf-8",
-    )
-    ((available, needed, _, missing, out),) = measured([page], 400, tmp_path)
-    assert available <= 400 < needed
-    assert len(missing) == len(out) == 1
-
-
-PRINTED = {
-    "reference/kernels/optics": (
-        "Optics",
-        "irradiance_factor",
-        "Foote",
-        "Goodman",
-        "E/L in sr",
-        "0.048332",
-        "square_aperture_mtf",
-    ),
-    "how_small": (
-        "How small should my pixel be?",
-        "full_well_e = 10500",
-        "Why: light against detail",
-        "The decision",
-    ),
-}
-
-
-@needs_browser
-@pytest.mark.parametrize("name", PRINTED)
-def test_printed_page_contains_text(name: str, site: Path, tmp_path: Path) -> None:
-    pytest.importorskip("pypdf", reason="pypdf is not installed")
-    sheets = print_page(site / f"{name}.html", tmp_path).pages
-    words = re.sub(r"\s+", " ", " ".join(sheet.extract_text() for sheet in sheets))
-    assert 2 <= len(sheets) <= 8
-    for text in PRINTED[name]:
-        assert text in words
-    assert "Skip to content" not in words, "a keyboard link would cover the text"
-
-
-def test_site_build_is_reproducible(site: Path, tmp_path: Path) -> None:
-    """Pages as they are read twice, which is ours; what becomes of them in HTML is Sphinx's, and
-    takes two thirds of a build.
-    """
-    read, again = site.parent / "xml", tmp_path / "xml"
-    for out in (read, again):
-        assert sphinx("xml", out).returncode == 0
-    files = {path.relative_to(read): path.read_bytes() for path in read.rglob("*.xml")}
-    assert len(files) > 15
-    changed = [path for path, content in files.items() if (again / path).read_bytes() != content]
-    assert changed == []
-
-
-def test_site_external_links_exist(tmp_path: Path) -> None:
-    try:
-        socket.create_connection(("www.python.org", 443), 5).close()
-    except OSError as error:
-        pytest.skip(f"no network: {error}")
-    done = sphinx("linkcheck", tmp_path / "links")
-    assert done.returncode == 0, done.stdout + done.stderr

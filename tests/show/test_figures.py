@@ -7,8 +7,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
 from pathlib import Path
@@ -16,12 +14,10 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from helpers.looks import grey_look
 from helpers.processes import HANG_S
-from matplotlib.colors import same_color, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from pixsim.show import figures
 from pixsim.show.figures import COLOURS, LINE_STYLES, literal, new_figure, pixsim_style, svg_text
 
 TOGETHER = 4  # most lines that differ by colour and dashes only
@@ -66,18 +62,6 @@ def test_looks_in_grey_are_distinct() -> None:
     assert len({look.marker for look in LINE_STYLES}) == len(LINE_STYLES)
     lightness = np.sort(perceived_lab(COLOURS[:TOGETHER], None)[:, 0])
     assert np.diff(lightness).min() > 7
-
-
-@pixsim_style()
-def test_grey_look_ignores_colour(tmp_path: Path) -> None:
-    axes = new_figure(2, 2).subplots()
-    one, other, dashed = (
-        axes.plot([0, 1], color=COLOURS[0])
-        + axes.plot([1, 0], color=COLOURS[1])
-        + axes.plot([1, 1], "--")
-    )
-    assert not same_color(one.get_color(), other.get_color())
-    assert grey_look(one) == grey_look(other) != grey_look(dashed)
 
 
 @pytest.mark.filterwarnings("error")
@@ -160,22 +144,3 @@ def test_a_matplotlibrc_of_the_current_folder(what: str, who: str, tmp_path: Pat
     else:
         linewidth = 9.0 if (what, who) == ("a file", "library") else 1.5
         assert done.stdout == f"True {linewidth}\n", done.stderr
-
-
-def test_figures_that_wait_are_given_up_when_a_block_fails() -> None:
-    begun, drawn = threading.Event(), []
-
-    def first() -> None:
-        begun.set()
-        time.sleep(0.1)
-
-    def interrupted() -> None:
-        with figures.drawing_thread() as pool:
-            pool.submit(first)
-            begun.wait()
-            pool.submit(drawn.append, "second")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not drawn

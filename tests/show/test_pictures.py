@@ -5,8 +5,6 @@ position of axes.
 from __future__ import annotations
 
 import io
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -86,15 +84,3 @@ def test_png_of_a_picture_has_the_same_pixels_and_is_grey_where_colours_are_equa
     np.testing.assert_array_equal(
         np.asarray(picture.convert("RGB")), np.broadcast_to(codes.reshape(40, 30, -1), (40, 30, 3))
     )
-
-
-def test_imports_of_run_exclude_matplotlib():
-    code = (
-        "import sys, pixsim.report.run, pixsim.show.pictures; pixsim.show.pictures.font(15);"
-        " print(*sys.modules)"
-    )
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout.split()
-    assert "pixsim.show.pictures" in loaded
-    assert not {"matplotlib", "scipy.stats", "pixsim.studies.study", "mitsuba"} & set(loaded)

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from helpers.browser import assert_fits, needs_browser
 from helpers.looks import Elements
 
 from pixsim.base.notes import Note
@@ -102,28 +101,13 @@ def test_terminal_wraps_words_where_a_table_is_too_wide() -> None:
         ("", "a command of many words"),
     )
     table = DocumentTable("", ("", "number", "remark"), rows, words=(2,))
-    shown = render.text(document(terminal=(table, table)), 28).splitlines()
-    assert shown[:6] == [
+    assert render.text(document(terminal=(table,)), 28).splitlines() == [
         "     number  remark",
         "one    12.5  a few words",
         "two  100.25  more-of-them in",
         "             all",
         "     a command of many words",
-        "       number  remark",  # below something
     ]
-    narrow = render.text(document(terminal=(table,)), 5).splitlines()
-    assert narrow[1:4] == [
-        "one    12.5  a few words",
-        "two  100.25  more-of-them",
-        "             in all",
-    ]
-
-
-def test_terminal_draws_nothing() -> None:
-    def draw() -> Plate:
-        raise AssertionError
-
-    assert render.text(document(terminal=("one", Plot(draw), "two"))) == "one\ntwo"
 
 
 def test_json_states_the_schema() -> None:
@@ -145,49 +129,18 @@ def test_page_names_columns_rows_and_what_is_left_of_a_row() -> None:
     assert "Empty" not in page, "a section without blocks"
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_page_of_one_section_has_no_contents(count: int) -> None:
-    assert "<nav" not in render.html(document(sections=[*document().sections][:count]))
-
-
-def test_write_writes_page_figures_data_and_files(tmp_path: Path) -> None:
-    page = render.write(document(files={"sizes.csv": "a\r\n1\r\n"}), tmp_path / "out")
-    names = {
-        path.relative_to(tmp_path / "out").as_posix()
-        for path in (tmp_path / "out").rglob("*")
-        if path.is_file()
-    }
-    assert names == {
-        "report.html",
-        "summary.json",
-        "sizes.csv",
-        "figures/line.svg",
-        "figures/line.csv",
-        "pixsim.json",
-    }
-    assert page.read_text(encoding="utf-8").count("download=") == 1
-
-
 def test_write_publishes_arrays_and_parts_with_a_document(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     part = document(sections=(), figures=".", lead=(Plot(plate),), data_file="part.json")
-    content = {
-        "writers": (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),),
-        "parts": {"case": part},
-    }
-    render.write(document(**content, sections=(), files={"page.csv": "a"}), folder)
+    writers = (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),)
+    render.write(document(writers=writers, parts={"case": part}, files={"a.csv": "a"}), folder)
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    own = {"report.html", "part.json", "line.svg", "line.csv"}
-    whole = {"a.exr", "page.csv", "report.html", "summary.json", "pixsim.json"}
-    assert names == whole | {f"case/{name}" for name in own}
+    page = {"report.html", "summary.json", "pixsim.json", "figures/line.svg", "figures/line.csv"}
+    case = {f"case/{name}" for name in ("report.html", "part.json", "line.svg", "line.csv")}
+    assert names == page | {"a.exr", "a.csv"} | case
 
 
 def test_array_that_cannot_be_written_publishes_nothing(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         render.write(document(writers=(lambda _: 1 / 0,)), tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-@needs_browser
-def test_page_fits_phone_and_desk(tmp_path: Path) -> None:
-    assert_fits(render.write(document(), tmp_path / "out"), tmp_path)
