@@ -1,0 +1,212 @@
+"""Files of spectral images: they come back bit for bit, and other programs read them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from helpers.claims import check
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.light import exr, spectral
+from pixsim.light.exr import _merged, read_channels, read_header, reduced_to_fit, write_channels
+from pixsim.light.spectral import VISIBLE, SpectralImage
+from pixsim.optics.exchange import read_irradiance
+from pixsim.scene.bands import band_edges_nm
+
+BANDS_NM = np.arange(370.0, 821.0, 10.0)
+
+
+def any_float32(shape: tuple[int, ...]) -> np.ndarray:
+    """Return finite float32 values of all kinds: all exponents, denormals, both zeros, 1e30."""
+    values = np.random.default_rng(0).integers(0, 2**32, shape, np.uint32).view(np.float32)
+    values[~np.isfinite(values)] = 1e30
+    values.flat[:4] = 0.0, -0.0, np.float32(1e-42), 1e30
+    return values
+
+
+def bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float32).view(np.uint32)
+
+
+def general(shape: tuple[int, int] = (5, 7), **options: object) -> SpectralImage:
+    data = any_float32((*shape, BANDS_NM.size))
+    header = {"seed": 7, "µ": [1.5, None]}
+    return SpectralImage(BANDS_NM, 10.0, 2.65, data=data, header=header, **options)
+
+
+def factored(shape: tuple[int, int] = (5, 7), **options: object) -> SpectralImage:
+    spectra = np.random.default_rng(1).uniform(0, 1, (2, BANDS_NM.size)) * 1e-3
+    factors = spectra, any_float32((2, *shape)) * np.float32(1e-6)
+    return SpectralImage(BANDS_NM, 10.0, 1 / 3, factors=factors, **options)
+
+
+def fine_bands(seed: int = 0) -> SpectralImage:
+    """Return 10 nm bands that are randomly halved up to three times, with light within them."""
+    rng = np.random.default_rng(seed)
+    edges = band_edges_nm(VISIBLE)
+    for _ in range(3):
+        halved = np.flatnonzero(rng.random(edges.size - 1) < rng.uniform(0.1, 0.6))
+        edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
+    width_nm = np.diff(edges)
+    places = np.sort(rng.random((width_nm.size, 10)), axis=1)
+    nodes_nm = edges[:-1, None] + width_nm[:, None] * places
+    shares = rng.dirichlet(np.ones(10), width_nm.size)
+    nm = (shares * nodes_nm).sum(axis=1)
+    factors = rng.normal(0.3, 1, (8, width_nm.size)), rng.uniform(0, 1, (8, 3, 5))
+    return SpectralImage(nm, width_nm, 2.65, factors=factors, within=(nodes_nm, shares))
+
+
+WITHIN = BANDS_NM[:, None] + np.linspace(-4, 4, 3), np.full((46, 3), 1 / 3)
+STRIDED = any_float32((12, 14, 92))[::-2, ::2, 1::2]
+IMAGES = {
+    "bands": general,
+    "factors": factored,
+    "light within bands": lambda: general(within=WITHIN),
+    "a margin": lambda: factored((9, 8), margin=2),
+    "fine bands": fine_bands,
+    "other fine bands": lambda: fine_bands(1),
+    "strides": lambda: SpectralImage(BANDS_NM, 10.0, 1.0, data=STRIDED),
+    "reduced": lambda: reduced_to_fit(factored((4, 2048))),
+    "two lines": lambda: SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2))),
+}
+
+
+@pytest.mark.parametrize("are_factors_only", [False, True])
+@pytest.mark.parametrize("name", IMAGES)
+def test_image_reads_back_bit_for_bit(name: str, are_factors_only: bool, tmp_path: Path) -> None:
+    image = IMAGES[name]()
+    pixsim.write_exr(tmp_path / "image.exr", image, factors_only=are_factors_only)
+    back = pixsim.read_exr(tmp_path / "image.exr")
+    assert np.array_equal(bits(back.whole.data), bits(image.whole.data))
+    assert (back.factors is None) == (image.factors is None)
+    if image.factors:
+        assert np.array_equal(back.factors[0], image.factors[0])  # float64
+        assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
+    for field in ("wavelength_nm", "band_width_nm", "within"):
+        assert np.array_equal(getattr(back, field), getattr(image, field)), field
+    assert (back.pitch_um, back.header, back.margin) == (image.pitch_um, image.header, image.margin)
+
+
+def test_channels_of_fine_bands_have_the_energy_of_all(tmp_path: Path) -> None:
+    """At most one channel for each of 48 bands of 10 nm, beside the factors."""
+    image = fine_bands(2)
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    channels, _ = read_channels(tmp_path / "image.exr")
+    merged = _merged(image)
+    planes = [channels[exr._band_channel(nm)].astype(float) for nm in merged.wavelength_nm]
+    assert len(channels) == len(planes) + 8 <= 48 + 8
+    assert merged.band_width_nm.max() <= 10
+    check("width", merged.band_width_nm.sum(), 470.0, rtol=1e-13, why="rounding")
+    energy = np.tensordot(merged.band_width_nm, planes, 1)
+    wanted = image.weighted(image.band_width_nm)
+    check("energy", energy, wanted, atol=1e-5 * np.abs(wanted).max(), why="float32 of 8 terms")
+
+
+@pytest.mark.parametrize("make", [general, factored])
+def test_channels_have_fichets_layout(make, tmp_path: Path) -> None:
+    """Read by the library of the format itself."""
+    image = make()
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    names = [f"S0.{nm},000000nm" for nm in range(370, 821, 10)]
+    with OpenEXR.File(str(tmp_path / "image.exr"), separate_channels=True) as file:
+        assert file.header()["spectralLayoutVersion"] == "1.0"
+        assert file.header()["emissiveUnits"] == "W.m^-2.nm^-1"
+        planes = np.stack([file.channels()[name].pixels for name in names], axis=2)
+    assert np.array_equal(bits(planes), bits(image.data))
+
+
+@pytest.mark.parametrize("blocks", [1, 4, 5])
+def test_block_size_does_not_change_bytes(blocks: int, tmp_path: Path, monkeypatch) -> None:
+    image = factored((23, 7))
+    pixsim.write_exr(tmp_path / "whole.exr", image)
+    lux = image.illuminance_lx()
+    monkeypatch.setattr(exr, "BLOCK_BYTES", blocks * (8 + 48 * 7 * 4))
+    monkeypatch.setattr(spectral, "STRIP_VALUES", blocks * 7 * 48)
+    pixsim.write_exr(tmp_path / "blocks.exr", image)
+    assert (tmp_path / "blocks.exr").read_bytes() == (tmp_path / "whole.exr").read_bytes()
+    assert np.array_equal(lux, image.illuminance_lx())
+
+
+def test_too_many_band_bytes_become_illuminance(tmp_path: Path, monkeypatch) -> None:
+    image = factored()
+    monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7)
+    pixsim.write_exr(tmp_path / "bands.exr", image)
+    assert len(read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
+    monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
+    pixsim.write_exr(tmp_path / "image.exr", image)
+    channels, header = read_channels(tmp_path / "image.exr")
+    assert sorted(channels) == ["Y", "factor.0", "factor.1"]
+    assert header["illuminanceUnits"] == "lx"
+    assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
+    assert np.array_equal(bits(pixsim.read_exr(tmp_path / "image.exr").data), bits(image.data))
+
+
+def test_reduced_light_is_noted_when_read(tmp_path: Path) -> None:
+    image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((2, 2048, 1)))
+    pixsim.write_exr(tmp_path / "image.exr", reduced_to_fit(image))
+    with pytest.warns(UserWarning, match="means over 2 × 2 samples of the render"):
+        assert read_irradiance(tmp_path / "image.exr").pitch_um == 4.0
+
+
+def test_strided_channels_are_written_correctly(tmp_path: Path) -> None:
+    plane = any_float32((12, 14)).T[1:, ::3]
+    write_channels(tmp_path / "plane.exr", {"Y": plane, "Z": plane.astype(float)[::-1]}, {})
+    channels, _ = read_channels(tmp_path / "plane.exr")
+    assert np.array_equal(bits(channels["Y"]), bits(plane))
+    assert np.array_equal(bits(channels["Z"]), bits(plane[::-1]))
+
+
+HEADER = {"wavelength_nm": [550.0], "band_width_nm": [10.0], "pitch_um": 1.0, "header": {}}
+IRRADIANCE = {"emissiveUnits": "W.m^-2.nm^-1"}
+FOREIGN = {
+    "no header": IRRADIANCE,
+    "radiance": {"emissiveUnits": "W.m^-2.sr^-1.nm^-1", "pixsim": json.dumps(HEADER)},
+    "torn": IRRADIANCE | {"pixsim": "{torn"},
+    "half": IRRADIANCE | {"pixsim": json.dumps({"pitch_um": 1.0})},
+    **{
+        name: IRRADIANCE | {"pixsim": json.dumps(HEADER | entry)}
+        for name, entry in {
+            "no such channel": {"wavelength_nm": [560.0]},
+            "no such factor": {"spectra_w_per_m2_nm": [[1.0]]},
+            "two widths": {"band_width_nm": [10.0, 10.0]},
+            "camera": {"header": {"camera": 1}},
+            "scene": {"header": {"scene": 1}},
+            "lamps": {"header": {"white_lamps": "sun"}},
+            "plate": {"header": {"diffuser": [1]}},
+            "dark plate": {"header": {"diffuser": {"distance_m": -1.0}}},
+            "luminance": {"header": {"luminance_cd_per_m2": 0.0}},
+            "finer": {"header": {"reduced": {"factor": 0.5, "samples": [4, 4]}}},
+            "one sample": {"header": {"reduced": {"factor": 2}}},
+            "no table": {"header": {"reduced": 7}},
+        }.items()
+    },
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_foreign_and_damaged_headers_are_refused(name: str, tmp_path: Path) -> None:
+    plane = {"S0.550,000000nm": np.ones((2, 2))}
+    write_channels(tmp_path / "image.exr", plane, FOREIGN[name])
+    with pytest.raises(PixsimError, match=r"irradiance file: got '.*image\.exr'"):
+        pixsim.read_exr(tmp_path / "image.exr")
+
+
+def test_interrupted_write_leaves_old_file(tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "image.exr"
+    pixsim.write_exr(path, factored())
+    before = path.read_bytes()
+
+    def full_disk(name: Path, *_: object) -> None:
+        name.write_bytes(b"half")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(exr, "write_rows", full_disk)
+    with pytest.raises(PixsimError, match="no space left on device"):
+        pixsim.write_exr(path, general())
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
