@@ -8,129 +8,48 @@ a TOML file and a command line. Nothing is written.
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
+from unittest.mock import patch
 
 import pytest
 import tomli_w
 from helpers.commands import command
-from pydantic import TypeAdapter
+from helpers.record_fields import (
+    VALID,
+    Table,
+    ends,
+    fields,
+    inside,
+    kind_of,
+    records,
+    required,
+    valid,
+)
 
 import pixsim
-from pixsim.base.bounds import LARGEST, SMALLEST
+from pixsim.base.bounds import SMALLEST
 from pixsim.base.errors import PixsimError
 from pixsim.base.problems import MAX_PROBLEMS
 from pixsim.base.records import Record, checked
 from pixsim.cli.mistakes import names_of
 from pixsim.optics.prescription import _PrescriptionFile
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import PitchRange, Study
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer
 
-Table = dict[str, Any]
-
 # Checked where the field is used, or by a rule of its own: see tests/optics/test_lens_bounds.py.
 WITHOUT_BOUNDS = {"radius_mm", "object_distance_mm"}
-# Values of fields whose kind says too little.
-VALID: dict[tuple[str, str], Any] = {
-    ("set", "dict"): {"camera": {"f_number": 2.8}},
-    ("colour", "model"): {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
-    ("junction", "model"): pixsim.load_technology("0.35um").model_dump()["junction"],
-}
-
-
-def records() -> list[type[Record]]:
-    """All records of settings of the package."""
-    for module in pkgutil.walk_packages(pixsim.__path__, "pixsim."):
-        if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
-    classes: list[type[Record]] = [Record]
-    for record in classes:
-        classes += [kind for kind in record.__subclasses__() if kind not in classes]
-    return [kind for kind in classes[1:] if kind.__module__.startswith("pixsim.")]
-
-
 RECORDS = records()
-WRAPPERS = ("nullable", "default", "function-before", "function-after", "function-wrap")
-
-
-def kind_of(schema: Any) -> Table:
-    """The schema of pydantic without what may be None, defaults and validators around it."""
-    while schema["type"] in WRAPPERS:
-        schema = schema["schema"]
-    return schema
-
-
-@cache
-def fields(record: type[Record]) -> dict[str, Table]:
-    """Name of a field as a file has it -> its kind."""
-    kinds = {}
-    for name, info in record.model_fields.items():
-        annotation: Any = info.annotation
-        if info.metadata:
-            annotation = Annotated[(annotation, *info.metadata)]
-        kinds[info.alias or name] = kind_of(TypeAdapter(annotation).core_schema)
-    return kinds
-
-
-# --- Values of a kind, and values that it refuses
-# --------------------------------------------------------------------------------------------------
-
-
-def ends(number: Table) -> tuple[float, float]:
-    """The smallest and the largest value of a kind of numbers."""
-    low, high = number.get("ge", -LARGEST), number.get("le", LARGEST)
-    if "lt" not in number:
-        return low, high
-    return low, number["lt"] - 1 if number["type"] == "int" else math.nextafter(number["lt"], 0)
-
-
-def inside(kind: Table) -> list[Any]:
-    """Values at the ends of a kind, and next to them; none for a kind without ends."""
-    match kind["type"]:
-        case "float":
-            low, high = ends(kind)
-            next_to_low = math.nextafter(low, high) if low else SMALLEST
-            return [low, high, next_to_low, math.nextafter(high, low)]
-        case "int":
-            low, high = ends(kind)
-            return [low, high, min(low + 1, high), max(high - 1, low)]
-        case "literal":
-            return list(kind["expected"])
-        case "bool":
-            return [True, False]
-        case "str":
-            return ["a"]
-        case "model":
-            return [required(kind["cls"])]
-        case "tuple":
-            part = kind_of(kind["items_schema"][0])
-            count = 1 if "variadic_item_index" in kind else len(kind["items_schema"])
-            has_ends = part["type"] in ("float", "int", "model")
-            return [[value] * count for value in inside(part)] if has_ends else []
-    return []
-
-
-def valid(name: str, kind: Table, number: int) -> Any:
-    """One of the values inside, or None."""
-    values = inside(kind)
-    return VALID.get((name, kind["type"]), values[number % len(values)] if values else None)
-
-
-def required(record: type[Record]) -> Table:
-    """A table of the fields that a record must have."""
-    names = [info.alias or name for name, info in record.model_fields.items() if info.is_required()]
-    return {name: valid(name, fields(record)[name], 0) for name in names}
-
 
 NO_NUMBER = (True, "a number or a name")
 
@@ -396,3 +315,56 @@ def test_command_line_refuses_what_a_field_does_not_allow(
 
 def text_of(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+# --- At the ends
+# --------------------------------------------------------------------------------------------------
+
+SHEET = {
+    "pitch_um": 3.45, "full_well_e": 1e4, "read_noise_e": 2.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6,
+}  # fmt: skip
+PROCESS = pixsim.load_technology("0.35um").model_dump()
+
+
+def derived_of_pixel(settings: Table) -> list[float]:
+    readout = Readout.of(pixsim.derive(pixsim.Pixel(**settings)))
+    physics = [readout.full_well_e, readout.dark_current_e_per_s, readout.noise_floor_e]
+    return [*physics, readout.dn_per_e, readout.adc_range_e]
+
+
+def derived_of_camera(settings: Table) -> list[float]:
+    camera = pixsim.Camera(**settings)
+    image = [camera.magnification, camera.image_distance_mm, camera.effective_f_number]
+    return [*image, camera.chart_half_width_m, camera.fov_deg, camera.aperture_radius_m]
+
+
+def derived_of_technology(settings: Table) -> list[float]:
+    technology = Technology(**settings)
+    with patch("pixsim.sensor.pixel.load_technology", lambda _: technology):
+        return derived_of_pixel({"pitch_um": 6.5, "technology": "0.35um"})
+
+
+@pytest.mark.parametrize(
+    ("record", "settings", "derived"),
+    [
+        (pixsim.Pixel, SHEET, derived_of_pixel),
+        (pixsim.Pixel, {"pitch_um": 6.5}, derived_of_pixel),
+        (pixsim.Camera, {}, derived_of_camera),
+        (Technology, PROCESS | {"ranges": {}, "distributions": {}}, derived_of_technology),
+    ],
+    ids=["data sheet", "pixel", "camera", "technology"],
+)
+def test_numbers_at_an_end_are_refused_or_have_finite_consequences(
+    record: type[Record], settings: Table, derived: Callable[[Table], list[float]]
+) -> None:
+    misses = []
+    for name, kind in fields(record).items():
+        for value in inside(kind) if kind["type"] in ("float", "int") else ():
+            try:
+                with warnings.catch_warnings(action="error", category=RuntimeWarning):
+                    numbers = derived(settings | {name: value})
+            except PixsimError:
+                continue
+            if not all(map(math.isfinite, numbers)):
+                misses.append(f"{name} = {value}: expected finite numbers, got {numbers}")
+    assert not misses, "\n".join(misses)
