@@ -483,7 +483,7 @@ BANDS = [
             lambda cut_nm=cut_nm: per_joule(
                 650.0, IN_TENTHS, quantum_efficiency=0.5, infrared_cut_nm=cut_nm
             ),
-            electrons(0.05, NODES_NM[NODES_NM < cut_nm]),
+            electrons(0.05, NODES_NM[cut_nm > NODES_NM]),
             rtol=1e-12,
         )
         for cut_nm in (646, 653)
