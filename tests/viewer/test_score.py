@@ -1,163 +1,174 @@
-"""Arithmetic of the score, and memory of everything after the render."""
+"""Scores: what calls share, statistics, one way and another, and the memory of large films."""
 
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.chains import imaging
+from hypothesis import given, settings, strategies as st
 
-from pixsim import optics
+import pixsim
 from pixsim.base import arrays
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera import Camera
 from pixsim.scene.charts import csf_value
-from pixsim.sensor import integration
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate, ideal_rate, integrate_pixels
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer import display as displays, evaluate as evaluating
-from pixsim.viewer.chain import make_chain
 from pixsim.viewer.delta_e_statistics import percentiles
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.scene_light import SceneLight, prepare_scene
+from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.scene_light import RecentScenes, SceneCache, SceneLight, prepare_scene
 from pixsim.viewer.scielab import delta_e, filtered_lab
-from pixsim.viewer.screen import white_header
 
 NM = np.arange(400.0, 721.0, 10)
 CAMERA = Camera(die_mm=2.7136)
+DISPLAY = Display(dots=96)
 COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 
 
-def chart(n: int, header: bool = True) -> SpectralImage:
-    """The CSF chart under D65, at 1000 cd/m² behind f/4 or so."""
-    at = (np.arange(n, dtype=np.float32) + 0.5) / n
-    picture = csf_value(at, at[:, None]).astype(np.float32)
-    message = {"luminance_cd_per_m2": 1000.0} if header else {}
-    return SpectralImage(
-        NM, 10.0, 2713.6 / n, factors=(6e-6 * d65(NM), picture[None]), header=message
-    )
+def chart(count: int, **header: Any) -> SpectralImage:
+    """Return the CSF chart under D65, at 1000 cd/m² behind f/4 or so."""
+    place = (np.arange(count, dtype=np.float32) + 0.5) / count
+    picture = csf_value(place, place[:, None]).astype(np.float32)
+    factors = 6e-6 * d65(NM), picture[None]
+    header = header or {"luminance_cd_per_m2": 1000.0}
+    return SpectralImage(NM, 10.0, 2713.6 / count, factors=factors, header=header)
 
 
-# --- What calls share ---
+# --- what calls share
 
 
-def test_evaluate_keeps_what_calls_share_and_sees_changed_light(monkeypatch):
-    prepared = []
-    chain_of = evaluating.make_chain
+def test_evaluate_shares_light_and_sees_changes_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Equal light in another object is the same light; a caller's changes of a score or a light
+    reach no other call.
+    """
+    chains = []
+    make_chain = evaluating.make_chain
     monkeypatch.setattr(
-        evaluating, "make_chain", lambda *given: prepared.append(given) or chain_of(*given)
+        evaluating, "make_chain", lambda *args: chains.append(args) or make_chain(*args)
     )
     evaluating._recent_chains.clear()
-    light, pixel = chart(96), Pixel(pitch_um=28.0)
-    settings = CAMERA, pixel, Exposure(), Display(dots=96)
-    first = evaluating.evaluate(light, *settings, seed=1)
-    first.ideal[:] = 0.0  # of the caller
-    again, other = (
-        evaluating.evaluate(chart(96), *settings, seed=1),
-        evaluating.evaluate(light, *settings, seed=2),
-    )
-    assert len(prepared) == 1, "equal light in another object is the same light"
+    image = chart(96)
+    call = {"camera": CAMERA, "pixel": Pixel(pitch_um=28.0), "display": DISPLAY}
+    first = evaluating.evaluate(image, **call, seed=1)
+    first.ideal[:] = 0.0
+    again = evaluating.evaluate(chart(96), **call, seed=1)
+    other = evaluating.evaluate(image, **call, seed=2)
+    assert len(chains) == 1
     assert again.mean_delta_e == first.mean_delta_e != other.mean_delta_e
     assert again.ideal.max() > 0.5
-    light.factors[1][:] = light.factors[1][:, ::-1]  # in place: the same values elsewhere
-    flipped = evaluating.evaluate(light, *settings, seed=1)
-    assert len(prepared) == 2
-    evaluating._recent_chains.clear()
-    assert (
-        evaluating.evaluate(light, *settings, seed=1).mean_delta_e
-        == flipped.mean_delta_e
-        != first.mean_delta_e
-    )
-    for number in range(2 * evaluating.MAX_CHAINS):
-        evaluating.evaluate(
-            light, CAMERA, pixel, Exposure(max_integration_s=0.01 * (number + 1)), Display(dots=96)
-        )
+    assert image.factors is not None
+    image.factors[1][:] = image.factors[1][:, ::-1]
+    flipped = evaluating.evaluate(image, **call, seed=1)
+    assert len(chains) == 2
+    assert flipped.mean_delta_e != first.mean_delta_e
+    for number in range(evaluating.MAX_CHAINS + 1):
+        exposure = Exposure(max_integration_s=0.01 * (number + 1))
+        evaluating.evaluate(image, **call, exposure=exposure)
     assert len(evaluating._recent_chains) == evaluating.MAX_CHAINS
 
 
-# --- Percentiles ---
+def test_caches_of_scenes_return_what_is_prepared() -> None:
+    """A cache per light and one of recent scenes; displays that differ in the viewer alone share an
+    ideal picture.
+    """
+    settings = imaging(CAMERA, Pixel(pitch_um=28.0), display=DISPLAY)
+    light = SceneLight(chart(96))
+    farther = DISPLAY.model_copy(update={"samples_per_deg": 46.0})
+    cache = SceneCache(settings, light, others=[farther])
+    scene = cache.get("pixel", settings)
+    assert cache.get("pixel", settings) is scene
+    near, far = scene.screens
+    assert far.ideal is near.ideal
+    expected = prepare_scene(settings.changed(display=farther), light).screen.ideal_lab
+    np.testing.assert_array_equal(far.ideal_lab, expected)
+    assert cache.ideal_facts("pixel", settings) == cache.ideal_facts("other", settings)
+    # Two planes of light and spline, and four of the ideal picture and its CIELAB, of 8 bytes.
+    assert cache.capacity == 2**28 // (8 * (2 * 96**2 + 4 * 2 * 96**2))
+
+    recent = RecentScenes()
+    scenes = [recent(settings, light) for _ in range(2)]
+    assert scenes[0] is scenes[1]
+    other = recent(settings.changed(display=farther), light)
+    assert other is not scenes[0]
+    assert other.lights is scenes[0].lights
+    recent.drop_all_but([])
+    assert recent(settings, light) is not scenes[0]
+
+
+# --- statistics
+
+
+@settings(derandomize=True, database=None, deadline=None, max_examples=25)
+@given(
+    values=st.lists(st.floats(0, 1e30, allow_subnormal=False), min_size=1, max_size=50),
+    count=st.sampled_from([1, 100]),
+)
+def test_percentiles_are_those_of_numpy(values: list[float], count: int) -> None:
+    """Also of many equal values, and of one that is far above all others."""
+    array = np.repeat(np.array(values), count)
+    percent = (0, 1.7, 50, 90, 99, 100)
+    np.testing.assert_allclose(percentiles(array, percent), np.percentile(array, percent), 1e-14)
+
+
+# --- one way and another
+
+
+@pytest.mark.parametrize("formula", ["1976", "2000"])
+@pytest.mark.parametrize("colour", [None, COLOUR])
+def test_score_is_the_difference_of_two_cielab_pictures(formula: Any, colour: Any) -> None:
+    """Through XYZ in three channels; without shortcuts the score is the same to rounding."""
+    display = DISPLAY.model_copy(update={"delta_e": formula})
+    call = {"camera": CAMERA, "pixel": Pixel(pitch_um=28.0, colour=colour), "display": display}
+    score = evaluating.evaluate(chart(96), **call)
+    view = {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg}
+    to_xyz = displays.to_xyz if colour is None else displays.rgb_to_xyz
+    labs = [filtered_lab(to_xyz(picture), **view) for picture in (score.ideal, score.image)]
+    np.testing.assert_allclose(score.delta_e, delta_e(*labs, formula), atol=1e-9)
+    full = evaluating.evaluate(chart(96), **call, full=True)
+    np.testing.assert_allclose(full.delta_e, score.delta_e, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    "values",
-    [
-        np.random.default_rng(1).gamma(2, 1, (64, 47)),
-        np.append(np.random.default_rng(2).uniform(0, 1, 5000), 1e9),  # all others in one bin
-        np.repeat([0.0, 1.0, 2.0], [60, 35, 7]),
-        np.zeros((5, 5)),
-        np.array([[3.0]]),
-        np.array([1e-300, 0.0]),
-        np.array([1e308, 3.0, 1e307]),
-    ],
+    ("colour", "fields"),
+    [(None, {}), (None, {"raster": "one_to_one", "filters": "zhang1996"}), (COLOUR, {"bits": 3})],
 )
-def test_percentiles_match_numpy(values):
-    percent = (0, 1.7, 50, 90, 99, 100)
-    found = percentiles(values, percent)
-    np.testing.assert_allclose(found, np.percentile(values, percent), rtol=1e-14)
-    assert percentiles(values, percent, largest=float(values.max())) == found
-    if values.max() < 1e30:
-        single = values.astype(np.float32)
-        np.testing.assert_allclose(
-            percentiles(single, percent), np.percentile(single.astype(float), percent), rtol=1e-14
-        )
-
-
-# --- One way and another ---
-
-
-def test_evaluate_matches_filtered_colour_images():
-    """Computed through XYZ in three channels and two complete CIELAB pictures."""
-    display = Display(dots=128)
-    actual = evaluating.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
-    view = {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg}
-    ideal, image = (
-        filtered_lab(displays.to_xyz(item), **view) for item in (actual.ideal, actual.image)
+def test_pictures_of_a_score_have_its_difference_bit_for_bit(colour: Any, fields: Any) -> None:
+    """Codes of codes are the same."""
+    display = DISPLAY.model_copy(update=fields)
+    score = evaluating.evaluate(
+        chart(96), CAMERA, Pixel(pitch_um=28.0, colour=colour), display=display
     )
-    np.testing.assert_allclose(
-        actual.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10
-    )
-    np.testing.assert_allclose(actual.delta_e, delta_e(ideal, image), rtol=0, atol=1e-10)
+    again = pixsim.score_pictures(score.ideal, score.image, score.display)
+    np.testing.assert_array_equal(again.delta_e, score.delta_e)
+    np.testing.assert_array_equal(again.image, score.image)
+    columns = DELTA_E.columns
+    assert again.statistics() == {name: score.statistics()[name] for name in columns}
 
 
-def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
-    asked = imaging(CAMERA, Pixel(pitch_um=15.0), display=Display(dots=128))
-    light = prepare_scene(asked, SceneLight(chart(256)))
-    kept = make_chain(asked, light).signal_e_per_s
-    assert light.lights[0].running_integral is not None
-    monkeypatch.setattr(integration, "MAX_STORED_SAMPLES", 256**2 - 1)
-    light = prepare_scene(asked, SceneLight(chart(256)))
-    assert light.lights[0].running_integral is None
-    # 256² sums in another order.
-    np.testing.assert_allclose(make_chain(asked, light).signal_e_per_s, kept, rtol=2e-12)
+def test_pictures_are_rounded_and_clipped_to_the_display() -> None:
+    """2 bits at γ = 1: light of 0, 1/3, 2/3 and 1; grey differs as equal primaries do."""
+    picture = np.repeat([[-0.5, 0.1, 0.4, 0.6, 0.995, 1.004]], 4, axis=0)
+    display = Display(bits=2, gamma=1.0)
+    with pytest.warns(UserWarning, match="17 % of the ideal image is brighter than display white"):
+        score = pixsim.score_pictures(picture, picture[:, ::-1], display)
+    np.testing.assert_allclose(score.ideal[0], [0, 0, 1 / 3, 2 / 3, 1, 1], atol=1e-15)
+    pair = [np.repeat(each[..., None], 3, axis=2) for each in (score.ideal, score.image)]
+    coloured = pixsim.score_pictures(*pair, display)
+    np.testing.assert_allclose(coloured.delta_e, score.delta_e, atol=1e-9)
 
 
-@pytest.mark.parametrize("bands", [0, 5])
-def test_weighted_strips_match_whole(monkeypatch, bands):
-    image = chart(40)
-    if bands:
-        image = SpectralImage(
-            NM[:bands], 10.0, 1.0, data=np.random.default_rng(3).uniform(0, 1, (40, 30, bands))
-        )
-    monkeypatch.setattr("pixsim.light.spectral.STRIP_VALUES", 100)
-    weight = np.random.default_rng(4).normal(size=image.wavelength_nm.size)
-    exact = np.einsum("yxb,b->yx", image.data.astype(float), weight)
-    actual = image.weighted(weight)
-    # The bands of a factored image are rounded to float32 where they are asked for.
-    np.testing.assert_allclose(
-        actual, exact, rtol=0, atol=(1e-6 if not bands else 1e-14) * np.abs(exact).max()
-    )
+# --- memory
 
 
-# --- Memory ---
-
-
-def peak_planes(work, samples: int) -> float:
-    """Memory that work takes at its peak, what it returns included, over that of a float64
-    picture.
-    """
+def peak_planes(work: Callable[[], object], samples: int) -> float:
+    """Return the peak of memory, with the result, over that of a float64 picture."""
     tracemalloc.start()
     try:
         work()
@@ -166,42 +177,32 @@ def peak_planes(work, samples: int) -> float:
         tracemalloc.stop()
 
 
-def test_memory_of_large_film_is_bounded(monkeypatch):
-    """2048² and more must not need 2.5 planes besides the float32 picture; the result counts as one
-    of them, or less.
-
-    On one thread: each other one works on a strip of its own.
-    """
+def test_memory_of_a_large_film_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most 1.7 planes besides the float32 picture, on one thread; of many bands two and tables."""
     monkeypatch.setattr(arrays, "threads", lambda: 1)
-    n, asked = 1536, imaging(CAMERA, Pixel(pitch_um=5.3), display=Display(dots=256))
-    image, silent, physics = chart(n), chart(n, header=False), asked.physics
-    light = prepare_scene(asked, SceneLight(image))
+    count = 1536
+    settings = imaging(CAMERA, Pixel(pitch_um=5.3), display=Display(dots=256))
+    image = chart(count)
+    light = prepare_scene(settings, SceneLight(image))
     rate = light.rate_e_per_s_um2
-    grid, edges_um = (light.sample_pitch_um, 5.3, 3.0), light.screen.dot_edges_um
-    works = {
-        "project": (lambda: prepare_scene(asked, SceneLight(image)), 1.1, 1.6),
-        "ideal_rate": (lambda: ideal_rate(image, physics), 1.0, 1.5),
-        "diffraction": (lambda: diffracted_rate(image, CAMERA, physics), 1.0, 1.3),
-        "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
-        "ideal image": (lambda: displays.ideal_luminance(asked, image, edges_um), 1.0, 1.6),
-        "white": (lambda: white_header([(asked, silent)]), 1.0, 1.6),
-        "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
+    edges_um = light.screen.dot_edges_um
+    works: dict[str, tuple[Callable[[], object], float]] = {
+        "scene": (lambda: prepare_scene(settings, SceneLight(image)), 1.7),
+        "ideal rate": (lambda: ideal_rate(image, settings.physics), 1.5),
+        "diffraction": (lambda: diffracted_rate(image, CAMERA, settings.physics), 1.4),
+        "pixels": (lambda: integrate_pixels(rate, light.sample_pitch_um, 5.3, 3.0), 0.9),
+        "ideal": (lambda: displays.ideal_luminance(settings, image, edges_um), 1.7),
     }
-    with pytest.warns(UserWarning, match="does not define its white"):
-        actual = {name: peak_planes(work, n * n) for name, (work, _, _) in works.items()}
-    wrong = {
-        name: item for name, item in actual.items() if not works[name][1] <= item <= works[name][2]
-    }
-    assert not wrong, actual
+    peaks = {name: peak_planes(work, count**2) for name, (work, _) in works.items()}
+    too_large = {name: peak for name, peak in peaks.items() if peak > works[name][1]}
+    assert not too_large, peaks
 
 
-def test_memory_of_many_bands_is_two_planes():
-    n = 512
-    data = np.ones((n, n, 7), np.float32)
+def test_memory_of_many_bands_is_two_planes() -> None:
+    """And tables of 32768 frequencies, and strips of an eighth of this plane."""
+    data = np.ones((512, 512, 7), np.float32)
     image = SpectralImage(NM[:7], 10.0, 2.65, data=data)
-    physics = derive(Pixel())
-    # Two planes, tables of 32768 frequencies and strips of an eighth of this plane.
-    diffracted_rate(
-        image, CAMERA, physics
-    )  # fills the caches, whose tables count beside planes of this size
-    assert 2.0 < peak_planes(lambda: diffracted_rate(image, CAMERA, physics), n * n) < 3.0
+    physics = imaging(CAMERA, Pixel()).physics
+    diffracted_rate(image, CAMERA, physics)  # fills the caches
+    peak = peak_planes(lambda: diffracted_rate(image, CAMERA, physics), 512**2)
+    assert 2.0 < peak < 3.0

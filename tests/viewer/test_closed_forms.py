@@ -1,0 +1,605 @@
+"""Kernels of the viewer against closed forms, published numbers and colour-science."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import colour
+import numpy as np
+import pytest
+from helpers.chains import imaging
+from helpers.claims import Claim, check
+from helpers.closed_forms import blurred_grating_lab, grating
+from scipy.integrate import dblquad, quad
+from scipy.special import erf, gamma
+
+from pixsim import metrics, optics
+from pixsim.light.spectral import SpectralImage, d65
+from pixsim.light.standard import illuminant
+from pixsim.optics.camera import Camera
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
+from pixsim.viewer import display as displays, scielab, sharpening
+from pixsim.viewer.adaptation import adaptation_matrix
+from pixsim.viewer.causes import _luminance_of_lightness, lightness_range
+from pixsim.viewer.colour_matrix import STANDARD_NM, chart_xyz, metamerism_index
+from pixsim.viewer.dark_clip import dark_clip
+from pixsim.viewer.delta_e_statistics import delta_e_statistics
+from pixsim.viewer.demosaic import (
+    demosaic_column_covariance,
+    demosaic_covariance,
+    demosaic_row_covariance,
+)
+from pixsim.viewer.denoising import anscombe, wiener
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
+from pixsim.viewer.screen import fraction_beyond_white
+from pixsim.viewer.tone import luminance_of, reinhard, toned
+
+DATA = Path(__file__).parents[1] / "data"
+D65 = np.array([95.047, 100.0, 108.883])
+LAMP_A = np.array([109.85, 100.0, 35.585])
+VIEW = {"white_xyz": D65, "samples_per_deg": 23.0}
+DISPLAY = Display()
+RAMP = np.linspace(0.0, 1.0, 257)[None]
+CAMERA = Camera(f_number=2.8, transmittance=0.9, object_distance_m=0.1)
+WHITE_NOISE = np.ones(3)
+# 100 e- of read noise, 16 bits, no black level and no dark charge: half of the dark codes are 0.
+DARK = Readout.of(
+    derive(
+        Pixel(
+            technology="none",
+            pitch_um=3.75,
+            full_well_e=10500,
+            read_noise_e=100,
+            dark_current_e_per_s=0,
+            quantum_efficiency=0.62,
+            bits=16,
+        )
+    )
+)
+CLIP = dark_clip(DARK, 0.03, 1e4)
+GREY_CURVE = np.linspace(0.0, 2.0, 2001)
+PITCH_MM = 0.005
+NYQUIST = 0.5 / PITCH_MM
+BARS = np.broadcast_to(np.tile([1.0, -1.0], 16), (32, 32))
+FIELD = SpectralImage([550.0], 10.0, 2.0, data=np.ones((16, 16, 1)), header={"diffraction": False})
+PIXEL = Pixel(
+    technology="none",
+    pitch_um=4.0,
+    full_well_e=2e4,
+    read_noise_e=4.0,
+    dark_current_e_per_s=0.0,
+    quantum_efficiency=0.6,
+    fill_factor=1.0,
+)
+
+
+def csf(frequency: float) -> float:
+    """Contrast sensitivity of IEEE 1858 and ISO 15739."""
+    return 75 * frequency**0.8 * math.exp(-0.2 * frequency) / 34.05
+
+
+def half_waves(order: int) -> np.ndarray:
+    """A cosine of `order` half-waves along 64 dots, which reflection at the borders continues."""
+    return np.broadcast_to(np.cos(np.pi * order * (np.arange(64) + 0.5) / 64), (64, 64))
+
+
+def grey_noise(order: int) -> float:
+    """Visual noise of a wave of 1e-5 on 0.2 of white: CSF · dL*/dY · a/√2, at order/2 cycles in
+    64/40 degrees.
+    """
+    return 116 / 3 * 0.2 ** (-2 / 3) * 1e-5 / math.sqrt(2) * csf(order / 2 / 64 * 40.0)
+
+
+def gaussian_npwe() -> float:
+    """d′ of a Gaussian of 0.1° in white noise of 0.3 on 32 dots a degree.
+
+    ∫ f^2.6 e^(-a f²) 2πf df = π Γ(2.3)/a^2.3, and likewise of f^5.2.
+    """
+    decay = 1.3 / 32
+    target = (2 * math.pi * 0.1) ** 2
+    peak = (2 * math.pi * 0.1**2) ** 2
+    signal = peak * math.pi * gamma(2.3) / (target + 2 * decay) ** 2.3
+    noise = peak * math.pi * gamma(3.6) / (target + 4 * decay) ** 3.6 * 0.3**2 / 32.0**2
+    return signal / math.sqrt(noise)
+
+
+def gaussian_target() -> np.ndarray:
+    """The Gaussian of `gaussian_npwe` on 8° of dots."""
+    place_deg = (np.arange(256) - 128) / 32.0
+    return np.exp(-(place_deg**2 + place_deg[:, None] ** 2) / (2 * 0.1**2))
+
+
+def natural_bits(y: float, x: float) -> float:
+    """Information of a natural scene behind square pixels at one frequency."""
+    mtf = np.sinc(x * PITCH_MM) * np.sinc(y * PITCH_MM)
+    return 0.5 * math.log2(1 + mtf**2 / (x**2 + y**2 + 400) / 1e-5)
+
+
+def natural_information(count: int) -> float:
+    """The same by the kernel, on `count` frequencies of a quadrant."""
+    axis = np.linspace(0, NYQUIST, count)
+    mtf = np.sinc(axis * PITCH_MM)[:, None] * np.sinc(axis * PITCH_MM)
+    spectrum = metrics.natural_spectrum(np.hypot(axis[:, None], axis), 1.0, 20.0)
+    return metrics.information_bits_per_mm2(axis, spectrum * mtf**2, 1e-5)
+
+
+DISPLAYS = [
+    Claim("grey is D65", lambda: displays.to_xyz(np.array([[0.5]])), [[D65 / 2]], rtol=1e-12),
+    Claim("primaries sum to white", lambda: displays.XYZ_FROM_RGB.sum(axis=1), D65, rtol=1e-14),
+    Claim(
+        "grey primaries are grey",
+        lambda: displays.rgb_to_xyz(np.full((1, 3), 0.25)),
+        [D65 / 4],
+        rtol=1e-14,
+    ),
+    Claim(
+        "luminances of sRGB",
+        lambda: displays.rgb_to_xyz(np.eye(3))[:, 1],
+        [21.26, 71.52, 7.22],
+        atol=0.01,
+        why="IEC 61966-2-1 prints four digits",
+    ),
+    Claim(
+        "chromaticities of sRGB",
+        lambda: displays.XYZ_FROM_RGB[:2].T / displays.XYZ_FROM_RGB.sum(axis=0)[:, None],
+        [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]],
+        rtol=1e-12,
+    ),
+    Claim(
+        "light of XYZ inverts",
+        lambda: displays.RGB_FROM_XYZ @ displays.XYZ_FROM_RGB,
+        np.eye(3),
+        atol=1e-14,
+    ),
+    Claim(
+        "irradiance over radiance on axis",
+        lambda: displays.on_axis_sr(CAMERA),
+        0.9 * math.pi / (1 + 4 * 2.8**2 * (1 + CAMERA.magnification) ** 2),
+        rtol=1e-12,
+    ),
+    Claim(
+        "white of a stated luminance",
+        lambda: displays.white_lx(FIELD, CAMERA, Display(white_cd_per_m2=50.0)),
+        50 * displays.on_axis_sr(CAMERA),
+        rtol=1e-12,
+    ),
+    Claim(
+        "edges of centred pixels",
+        lambda: displays.pixel_edges_um(10.0, 3, 3.0),
+        [0.5, 3.5, 6.5, 9.5],
+        atol=1e-12,
+    ),
+    *(
+        Claim(
+            f"interpolation at the Nyquist frequency, {name}",
+            lambda name=name: displays.interpolation_mtf([0.0, 50.0, 100.0], 10.0, name),
+            [1.0, expected, 0.0],
+            atol=1e-15,
+        )
+        # sinc x to the degree plus one, over the samples of the B-spline: 1, 1, 1/3, 2/15.
+        for name, expected in (
+            ("nearest", 2 / math.pi),
+            ("linear", (2 / math.pi) ** 2),
+            ("cubic", (2 / math.pi) ** 4 * 3),
+            ("quintic", (2 / math.pi) ** 6 * 7.5),
+        )
+    ),
+    *(
+        Claim(
+            f"out of the gamut: {rgb}",
+            lambda rgb=rgb: displays.out_of_gamut_share(np.array([rgb])),
+            expected,
+        )
+        for rgb, expected in (
+            ([1.0, 0.0, 0.5], 0.0),
+            ([-1e-12, 1.0, 1.0], 0.0),
+            ([1.5, 1.5, 1.5], 0.0),  # brighter than white is no matter of the gamut
+            ([1.01, 1.0, 1.0], 0.0),
+            ([-0.01, 0.5, 0.5], 1.0),
+            ([1.1, 0.2, 0.2], 1.0),
+            ([3.0, 3.0, -0.1], 1.0),
+        )
+    ),
+    Claim(
+        "share of dots beyond white",
+        lambda: fraction_beyond_white(np.array([[1.0, 1 + 1e-7], [1 + 1e-5, 0.2]])),
+        0.25,
+    ),
+    Claim(
+        "MTF of lens, photodiode, interpolation and dot",
+        lambda: np.stack(
+            list(mtf_terms(imaging(CAMERA, PIXEL), FIELD, np.array([30.0]), 2.0, 5.0).values())
+        )[:, 0],
+        [
+            float(optics.diffraction_otf(30.0, 550.0, CAMERA.effective_f_number)),
+            *(np.sinc(0.15), np.sinc(0.12), np.sinc(0.12) ** 2, np.sinc(0.06)),
+        ],
+        rtol=1e-4,
+        why="a band of 10 nm in place of one wavelength",
+    ),
+    Claim(
+        "terms of the display are not on the sensor",
+        lambda: list(terms_to_sensor({"lens": 0.5, "interpolation": 0.2, "dot": 0.1}).values()),
+        [0.5],
+    ),
+]
+COLOURS = [
+    *(
+        Claim(
+            f"adaptation of colour-science: {name}",
+            lambda name=name: adaptation_matrix(LAMP_A, D65, name.lower()),
+            colour.adaptation.matrix_chromatic_adaptation_VonKries(LAMP_A, D65, name),
+            atol=1e-12,
+            why="rounding: both have the published four digits",
+        )
+        for name in ("Bradford", "CAT02")
+    ),
+    Claim(
+        "no adaptation keeps chromaticities",
+        lambda: adaptation_matrix(LAMP_A / 100, D65, "none"),
+        100 * np.eye(3),
+        rtol=1e-15,
+    ),
+    Claim(
+        "white of the chart under A",
+        lambda: 100 * chart_xyz(STANDARD_NM, illuminant("A", STANDARD_NM))[1],
+        LAMP_A,
+        atol=5e-3,
+        why="CIE 15 sums in steps of 1 nm, not 5",
+    ),
+    Claim("metamerism index", lambda: metamerism_index(np.array([1.0, 3.0])), 100 - 5.5 * 2),
+    Claim(
+        "S-CIELAB of a coloured grating",
+        lambda: scielab.filtered_lab((grating(3) * D65)[None], **VIEW)[0],
+        blurred_grating_lab(23.0, 3),
+        atol=1e-10,
+    ),
+    Claim(
+        "CIELAB of 18 % grey",
+        lambda: scielab.xyz_to_lab(0.18 * D65, D65),
+        [116 * 0.18 ** (1 / 3) - 16, 0, 0],
+        atol=1e-12,
+    ),
+    Claim(
+        "CIELAB below the cube root",
+        lambda: scielab.xyz_to_lab(1e-3 * D65, D65)[0],
+        (29 / 3) ** 3 * 1e-3,
+        rtol=1e-12,
+    ),
+    Claim(
+        "ΔE 1994 of a chroma of 10",
+        lambda: scielab.delta_e([50.0, 10.0, 0.0], [51.0, 12.0, 0.0], "1994"),
+        math.hypot(1, 2 / 1.45),
+        rtol=1e-12,
+    ),
+    Claim(
+        "ΔE 1994 is not symmetric",
+        lambda: scielab.delta_e([51.0, 12.0, 0.0], [50.0, 10.0, 0.0], "1994"),
+        math.hypot(1, 2 / 1.54),
+        rtol=1e-12,
+    ),
+    Claim("black to white", lambda: lightness_range(np.array([[0.0, 1.0]])), [0, 100], atol=1e-12),
+    Claim(
+        "luminance of a lightness",
+        lambda: [_luminance_of_lightness(lightness) for lightness in (4.0, 50.0)],
+        [4 * 27 / 24389, (66 / 116) ** 3],
+        rtol=1e-12,
+    ),
+    Claim(
+        "lightness of the primary with most contrast",
+        lambda: lightness_range(np.array([[[0.5, 0.0, 0.5], [0.5, 0.18, 0.5]]])),
+        [0, 116 * 0.18 ** (1 / 3) - 16],
+        atol=1e-12,
+    ),
+    Claim(
+        "luminance of primaries",
+        lambda: luminance_of(np.ones((3, 1, 1)) * np.array([1.0, 0.0, 2.0])[:, None, None]),
+        [[(displays.XYZ_FROM_RGB[1] @ [1, 0, 2]) / 100]],
+        rtol=1e-14,
+    ),
+    Claim(
+        "statistics of ΔE",
+        lambda: delta_e_statistics(np.arange(101.0).reshape(1, -1)),
+        [50, 50, 90, 99, 100],
+        rtol=1e-14,
+    ),
+]
+DEVELOPMENT = [
+    Claim(
+        "Reinhard et al. (2002), equation 4",
+        lambda: reinhard([-0.5, 1.0, 4.0], 4.0),
+        [-0.5, 0.53125, 1],
+    ),
+    Claim(
+        "Reinhard's slope at black", lambda: reinhard(1e-9, 4.0), 1e-9, rtol=2e-9, why="next term"
+    ),
+    Claim(
+        "the display's own gamma is no tone curve",
+        lambda: toned(RAMP, Develop(tone_curve="gamma", tone_gamma=DISPLAY.gamma), DISPLAY),
+        RAMP,
+        atol=1e-12,
+    ),
+    Claim(
+        "sRGB at half of its values",
+        lambda: toned(np.array([[0.21404114, 0.002]]), Develop(tone_curve="srgb"), DISPLAY),
+        [[0.5**2.2, (12.92 * 0.002) ** 2.2]],
+        rtol=1e-7,
+        why="IEC 61966-2-1: value 0.5 is light of 0.21404114",
+    ),
+    Claim(
+        "a table is straight between its rows",
+        lambda: toned(
+            np.array([[0.1, 0.6, 3.0]]),
+            Develop(tone_curve=[[0, 0], [0.2, 0.5], [1, 1]]),
+            Display(gamma=2.0),
+        ),
+        [[0.25**2, 0.75**2, 1]],
+        rtol=1e-14,
+    ),
+    Claim(
+        "Gaussian of the unsharp mask",
+        lambda: sharpening.gaussian_taps(0.5) / sharpening.gaussian_taps(0.5).max(),
+        np.exp(-2 * np.arange(-2, 3) ** 2.0),
+        rtol=1e-14,
+    ),
+    Claim(
+        "unsharp mask at 1/12 cycle a pixel",
+        lambda: sharpening.unsharp_response(1 / 12, 2.0, 1.0),
+        1 + 2 * (1 - math.exp(-2 * (math.pi / 12) ** 2)),
+        rtol=1e-3,
+        why="the Gaussian ends at 4 σ",
+    ),
+    Claim(
+        "noise behind a wide unsharp mask",
+        lambda: sharpening.noise_gain(1.5, 500.0),
+        2.5,
+        rtol=1e-5,
+        why="1/σ² is left of the blur's noise",
+    ),
+    *(
+        Claim(
+            f"white noise behind {method}, {phase}",
+            lambda method=method, phase=phase: np.diag(
+                demosaic_covariance(phase, method, WHITE_NOISE)
+            ),
+            expected,
+            atol=1e-14,
+        )
+        for method, expected in (
+            ("bilinear", [9 / 16, 5 / 8, 9 / 16]),
+            ("malvar2004", [63 / 64, 25 / 32, 63 / 64]),
+        )
+        for phase in ("rggb", "gbrg")
+    ),
+    Claim(
+        "noise of large dots is that of n²/4, n²/2 and n²/4 samples",
+        lambda: np.diag(demosaic_covariance("rggb", "bilinear", WHITE_NOISE, 400.0)) * 400**2,
+        [4, 2, 4],
+        rtol=0.01,
+        why="pixels that the edge of a dot cuts",
+    ),
+    Claim(
+        "offsets of columns behind bilinear",
+        lambda: np.diag(demosaic_column_covariance("rggb", "bilinear", WHITE_NOISE)),
+        [0.75, 0.6875, 0.75],
+        atol=1e-14,
+    ),
+    Claim(
+        "offsets of columns fall with the width of a dot",
+        lambda: demosaic_column_covariance("rggb", "bilinear", WHITE_NOISE, 200.0) * 200,
+        [[2, 1, 0], [1, 1, 1], [0, 1, 2]],
+        atol=0.03,
+        why="columns that the edge of a dot cuts; R takes every other column, B the others",
+    ),
+    Claim(
+        "offsets of rows of one channel",
+        lambda: demosaic_row_covariance(["C"], "interpolate", [3.0]),
+        [[9.0]],
+    ),
+    Claim("Anscombe (1948)", lambda: anscombe.forward(100.0, 9.0), 2 * math.sqrt(109.375)),
+    Claim(
+        "variance behind Anscombe's transform",
+        lambda: anscombe.moments([20.0, 1e3, 1e6], 9.0)[1],
+        [1, 1, 1],
+        atol=0.02,
+        why="from 20 electrons on (Mäkitalo & Foi 2013)",
+    ),
+    Claim(
+        "moments without electrons",
+        lambda: anscombe.moments(0.0, 0.0),
+        [2 * math.sqrt(3 / 8), 0],
+        atol=1e-14,
+    ),
+    Claim(
+        "Wiener's filter",
+        lambda: wiener.response(np.array([[3.0, 0.0]]), np.array([[1.0, 0.0]])),
+        [[0.75, 1]],
+    ),
+    Claim(
+        "error that Wiener's filter leaves",
+        lambda: wiener.mean_square_error(np.array([[3.0, 4.0]]), np.array([[1.0, 4.0]])),
+        (0.75 + 2) / 2,
+    ),
+    Claim("clipping at 0 DN: mean", lambda: CLIP["too_bright_e"], 100 / math.sqrt(2 * math.pi),
+          rtol=1e-6, why="next term 1/24σ²"),
+    Claim(
+        "clipping at 0 DN: share",
+        lambda: CLIP["at_zero_fraction"],
+        0.5 + 0.5 / CLIP["spread_dn"] / math.sqrt(2 * math.pi),
+        rtol=1e-6,
+        why="half of the codes, and the density of half a code; next term (½/σ)²/6",
+    ),
+    Claim("clipping at 0 DN: spread", lambda: CLIP["spread_e"], 100.0, rtol=1e-12),
+    Claim(
+        "clipping at 0 DN: lightness",
+        lambda: [CLIP["lightness"], dark_clip(DARK, 0.03, 1.0)["lightness"]],
+        [(29 / 3) ** 3 * 0.01 / math.sqrt(2 * math.pi), 100],
+        rtol=1e-6,
+        why="next term; no display shows more than white",
+    ),
+]  # fmt: skip
+JUDGES = [
+    Claim(
+        "Rose (1948): a disc",
+        lambda: metrics.detectability(np.where(BARS > 0, 3.0, 0.0), np.array(144.0)),
+        3 * math.sqrt(512) / 12,
+        rtol=1e-14,
+    ),
+    Claim(
+        "bars along noisy columns, across them, along noisy rows",
+        lambda: [
+            metrics.detectability(BARS, np.array(4.0), column_variance=5.0),
+            metrics.detectability(BARS.T, np.array(4.0), column_variance=5.0),
+            metrics.detectability(BARS, np.array(4.0), row_variance=5.0),
+        ],
+        [math.sqrt(1024 / (4 + 32 * 5)), 16, 16],
+        rtol=1e-12,
+    ),
+    Claim(
+        "one frequency: the eye weakens target and noise alike",
+        lambda: metrics.npwe(
+            np.cos(2 * np.pi * 5 * np.arange(64) / 64) * np.full((64, 1), 0.1),
+            np.array(0.3**2 / 30.0**2),
+            30.0,
+        ),
+        0.1 * math.sqrt(64 * 64 / 2) / 0.3,
+        rtol=1e-12,
+    ),
+    Claim(
+        "NPWE of a Gaussian target",
+        lambda: metrics.npwe(gaussian_target(), np.array(0.3**2 / 32.0**2), 32.0),
+        gaussian_npwe(),
+        rtol=1e-3,
+        why="a sum over 8° of f^2.6, which bends at 0",
+    ),
+    Claim(
+        "nobody sees uniform light", lambda: metrics.npwe(np.ones((8, 8)), np.array(1.0), 30.0), 0.0
+    ),
+    *(
+        Claim(
+            f"information of white spectra, {name}",
+            lambda axis=axis: metrics.information_bits_per_mm2(axis, 3.0, 0.7, 0.5),
+            0.5 / PITCH_MM**2 * math.log2(1 + 3 / 1.2),
+            rtol=1e-12,
+        )
+        for name, axis in {
+            "square": np.linspace(-NYQUIST, NYQUIST, 33),
+            "square, even": np.linspace(-NYQUIST, NYQUIST, 34),
+            "quadrant": np.linspace(0, NYQUIST, 17),
+            "not equidistant": NYQUIST * np.linspace(0, 1, 17) ** 2,
+            "DFT": np.fft.fftfreq(32, PITCH_MM),
+            "DFT, odd": np.fft.fftfreq(33, PITCH_MM),
+            "DFT, shifted": np.fft.fftshift(np.fft.fftfreq(32, PITCH_MM)),
+        }.items()
+    ),
+    Claim(
+        "information of a natural scene",
+        lambda: natural_information(401),
+        4 * dblquad(natural_bits, 0, NYQUIST, 0, NYQUIST, epsabs=1e-4)[0],
+        rtol=1e-5,
+        why="trapezia of 0.25 cy/mm at a corner of 20 cy/mm",
+    ),
+    Claim(
+        "NEQ of shot noise is the quanta",
+        lambda: metrics.neq(np.array([1.0, 0.5, 0.0]), 400 * PITCH_MM**2, 400.0),
+        400 / PITCH_MM**2 * np.array([1, 0.25, 0]),
+        rtol=1e-14,
+    ),
+    *(
+        Claim(
+            f"visual noise of {order} half-waves",
+            lambda order=order: metrics.visual_noise(0.2 + 1e-5 * half_waves(order), 40.0),
+            grey_noise(order),
+            rtol=1e-6,
+            why="first order of the amplitude",
+        )
+        for order in (4, 40)
+    ),
+    Claim(
+        "light for an SNR of 10 of shot noise: 100 e-, and a quarter for four pixels a dot",
+        lambda: [
+            metrics.snr10_lx(4000.0, 1000.0, reflectance=0.18, pixels_per_dot=pixels)
+            for pixels in (0.25, 1.0, 4.0)
+        ],
+        np.array([25, 25, 6.25]) * math.pi / 0.18,
+        rtol=1e-12,
+    ),
+    Claim(
+        "acutance without blur: share of the CSF below Nyquist",
+        lambda: metrics.acutance(np.array([0.0, 11.5]), np.ones(2)),
+        quad(csf, 0, 11.5)[0] / quad(csf, 0, np.inf)[0],
+        rtol=1e-8,
+        why="quadrature",
+    ),
+    Claim(
+        "acutance of a Gaussian MTF",
+        lambda: metrics.acutance(
+            np.linspace(0, 40, 4001), np.exp(-((np.linspace(0, 40, 4001) / 12) ** 2))
+        ),
+        quad(lambda f: math.exp(-((f / 12) ** 2)) * csf(f), 0, 40)[0] / quad(csf, 0, np.inf)[0],
+        rtol=1e-6,
+        why="straight between 0.01 cy/deg",
+    ),
+    Claim(
+        "MTF50 of a Gaussian",
+        lambda: metrics.mtf50(GREY_CURVE, np.exp(-(GREY_CURVE**2))),
+        math.sqrt(math.log(2)),
+        rtol=1e-6,
+        why="straight between 0.001",
+    ),
+    Claim("NIIRS, example of the NGA", lambda: metrics.niirs(0.35, 0.52832, 50.0), 5.015,
+          atol=5e-4, why="NGA (2015) prints 5.015"),
+    Claim(
+        "NIIRS at half of the distance",
+        lambda: metrics.niirs(0.5, 0.25, 30.0) - metrics.niirs(0.5, 0.5, 30.0),
+        3.32 * math.log10(2),
+        rtol=1e-12,
+    ),
+    Claim(
+        "edge response of a Gaussian blur of 0.7 px",
+        lambda: metrics.relative_edge_response(
+            2 * GREY_CURVE, np.exp(-2 * (np.pi * 0.7 * 2 * GREY_CURVE) ** 2)
+        ),
+        erf(0.5 / 0.7 / math.sqrt(2)),
+        rtol=1e-5,
+        why="straight between 0.002 cycles a pixel",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("claim", [*DISPLAYS, *COLOURS, *DEVELOPMENT, *JUDGES], ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
+
+
+def test_white_of_d65_by_the_eye_and_by_watts() -> None:
+    """Electrons of the plate of 50 cd/m² in D65: luminance over 683 V(λ), and its radiance."""
+    nm = np.arange(405.0, 700.0, 10.0)
+    light = SpectralImage(nm, 10.0, 2.0, factors=(d65(nm), np.ones((1, 4, 4))))
+    settings = imaging(CAMERA, PIXEL, display=Display(white_cd_per_m2=50.0))
+    lumens_per_watt = float(light.luminous_weight() @ d65(nm) / (10.0 * d65(nm).sum()))
+    in_watts = imaging(CAMERA, PIXEL, display=Display(white_w_per_m2_sr=50.0 / lumens_per_watt))
+    check(
+        "white in W m⁻² sr⁻¹",
+        displays.white_rate(in_watts, light),
+        displays.white_rate(settings, light),
+        rtol=1e-9,
+        why="rounding",
+    )
+
+
+@pytest.mark.parametrize("name", ["constant_offset", "edge_vs_blurred_edge", "dark_noise"])
+def test_maps_of_the_first_public_code(name: str) -> None:
+    """S-CIELAB of X. Zhang & B. A. Wandell (1996) under Octave: maps of ΔE 1976 to rounding."""
+    with np.load(DATA / f"scielab/{name}.npz") as file:
+        white = file["white_xyz"]
+        pair = [file[f"{part}_over_white"] * white for part in ("reference", "test")]
+        view = {"white_xyz": white, "samples_per_deg": float(file["samples_per_deg"])}
+        expected = file["delta_e_1976"]
+    delta_e = scielab.delta_e_map(*pair, **view, filters="zhang1996")
+    np.testing.assert_allclose(delta_e, expected, rtol=0, atol=1e-9)
