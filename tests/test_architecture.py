@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 from importlib import import_module
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from helpers.measure import (
     PACKAGE,
     arrows_of,
     files_of,
-    floors,
     imports as imports_of,
     is_type_checking,
     tree as tree_of,
@@ -284,42 +283,6 @@ def test_imports_have_no_cycles() -> None:
         TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
 
 
-def test_cycles_for_the_type_checker_are_found(tmp_path: Path) -> None:
-    """One module imports another inside a function, which imports it for the type checker."""
-    package = tmp_path / "some"
-    package.mkdir()
-    (package / "a.py").write_text("def f():\n    from some.b import g\n", encoding="utf-8")
-    (package / "b.py").write_text(
-        "from typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from some.a import f\n",
-        encoding="utf-8",
-    )
-    TopologicalSorter(arrows_of(package)).prepare()
-    with pytest.raises(CycleError):
-        TopologicalSorter(arrows_of(package, type_checking=True)).prepare()
-
-
-def test_package_graph_is_small() -> None:
-    """13 packages, at most 11 of them in one chain of imports, and at most 59 imports between
-    packages, but for settings.
-    """
-    between = package_arrows(settings=False)
-
-    def floor(name: str) -> int:
-        return 1 + max((floor(other) for one, other in between if one == name), default=0)
-
-    assert max(map(floor, ALLOWED)) <= 11
-    assert len(between) <= 59
-
-
-def test_studies_have_few_floors() -> None:
-    """At most 10 modules of studies/ in one chain of imports; `floors` raises an error for a
-    circle.
-    """
-    heights = floors(arrows(), "studies")
-    assert max(heights.values()) <= 10
-    assert len(heights) > 10, "the graph is that of the room"
-
-
 # Functions of a table, and what of studies/ they may import, also by way of others: no command, no
 # page and no file.
 ANSWERS = ("claims", "curve", "optimum", "paired", "regret", "uncertainty")
@@ -338,19 +301,6 @@ def test_functions_of_a_table_import_no_command(module: str) -> None:
     assert not any(
         name.startswith(("report.", "cli.")) for reader in reached for name in arrows()[reader]
     )
-
-
-def test_floors_are_those_of_the_longest_chain() -> None:
-    graph = {
-        "a.one": {"a.two", "b.any"},
-        "a.two": {"a.three"},
-        "a.three": set(),
-        "a.four": {"a.three"},
-        "b.any": {"a.one"},
-    }
-    assert floors(graph, "a") == {"a.three": 1, "a.two": 2, "a.four": 2, "a.one": 3}
-    with pytest.raises(CycleError):
-        floors(graph | {"a.three": {"a.one"}}, "a")
 
 
 def test_names_are_not_reexported_by_modules() -> None:

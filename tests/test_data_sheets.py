@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,6 @@ from helpers.commands import command
 from helpers.tiny import rows, tiny, tiny_toml, toml_of
 
 import pixsim
-from pixsim.base.toml import read_toml
 from pixsim.cli.options import SceneOptions
 from pixsim.measure.datasheet import datasheet_settings, make_datasheet
 from pixsim.report.study import settings as settings_tables
@@ -25,11 +25,9 @@ from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.unit_slips import unit_slips
-from pixsim.studies.design import technology_of
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import check_technologies, prepare
 from pixsim.studies.sensors import sensor_layer
-from pixsim.studies.settings import Study
 from pixsim.viewer.settings_file import packaged_sensors, run_settings, settings_layer
 
 SHEET: dict[str, Any] = {
@@ -128,32 +126,16 @@ def test_run_same_sensor_in_every_way_gives_same_frame(
         assert np.array_equal(frame.dn, frames["file"].dn), name
 
 
-@pytest.mark.slow
-def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
-    table = {
-        "technologies": ["0.35um"],
-        "repeats": 2,
-        "pitch": {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]},
-    }
-    plan = tmp_path / "own.toml"
-    plan.write_text(tiny_toml(**table), encoding="utf-8")
-    for name, arguments in ways(SHEET, tmp_path / "sheets").items():
-        with warnings.catch_warnings(action="always"):
-            code, out, err = command(f"study {plan} --jobs 1", *arguments, "--out", tmp_path / name)
-        assert code == 0, err
-        assert out.startswith("data sheet: "), name
-    pixsim.study(plan, tmp_path / "python", pixel=SHEET, jobs=1)
-    pixsim.study(plan, tmp_path / "python none", pixel=SHEET | {"technology": None}, jobs=1)
-    pixel = {name: value for name, value in SHEET.items() if name != "pitch_um"} | {
-        "data_sheet_pitch_um": 30.0
-    }
-    values = read_toml(plan) | {"pixel": pixel}
-    del values["technologies"]
-    pixsim.study(Study.model_validate(values), tmp_path / "record", jobs=1)
-    texts = {path.parent.name: path.read_bytes() for path in tmp_path.glob("*/results.csv")}
-    assert len(texts) == 8
-    for name, text in texts.items():
-        assert text == texts["file"], name
+def test_study_has_the_same_sensor_in_every_way(tmp_path: Path) -> None:
+    """Rows follow from the record of the study alone."""
+    plan = tmp_path / "plan.toml"
+    plan.write_text(tiny_toml(technologies=["0.35um"]), encoding="utf-8")
+    study = load_study(plan, config=file_of(tmp_path / "sheet.toml", SHEET))
+    halves = [dict(list(SHEET.items())[start::2]) for start in (0, 1)]
+    files = [file_of(tmp_path / f"{number}.toml", half) for number, half in enumerate(halves)]
+    assert load_study(plan, pixel=SHEET) == study
+    assert load_study(plan, config=files) == study
+    assert load_study(plan, config=files[0], pixel=halves[1]) == study
 
 
 def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
@@ -222,19 +204,13 @@ def test_each_number_of_a_sheet_has_its_source() -> None:
 
 
 def test_packaged_sensor_is_its_file_wherever_a_settings_file_stands() -> None:
-    """Run, study, comparison, among the technologies of a study, and data sheet."""
+    """In a run, a comparison, a study and a data sheet."""
     name, path = "imx477", PACKAGED["imx477"]
     expected = run_settings(path, {}).pixel
     assert run_settings(name, {}).pixel == expected
     assert sensor_layer(name).table == settings_layer(path).table
-    assert (
-        load_study("pixel-size", config=name).pixel == load_study("pixel-size", config=path).pixel
-    )
-    with pytest.warns(
-        UserWarning, match=r"imx477: \[camera\] is not used: .* only \[pixel\] is used"
-    ):
-        study = load_study("pixel-size", technologies=[name, "4t-bsi"], pixel={"bits": 12})
-    assert study.sensors[name].dn_per_e == expected.dn_per_e
+    study = load_study("pixel-size", config=path)
+    assert load_study("pixel-size", config=name).pixel == study.pixel
     assert datasheet_settings(name, [], None, None, None).pixel == expected
 
 
@@ -302,47 +278,27 @@ UNITS: dict[str, Any] = SHEET | {"full_well_e": 12.0, "prnu": 0.2}
 GAIN: dict[str, Any] = SHEET | {"gain_e_per_dn": 0.4}
 
 
+def noted(call: Callable[[], object]) -> list[str]:
+    """Notes on pixels."""
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        call()
+    texts = [str(warning.message).removesuffix(".") for warning in caught]
+    return [text for text in texts if text.startswith("pixel: ")]
+
+
 @pytest.mark.parametrize(
     ("pixel", "count"), [(SHEET, 0), (UNITS, 2), (GAIN, 1)], ids=["sheet", "units", "gain"]
 )
-def test_unit_slips_are_noted_by_every_entry(
-    pixel: dict[str, Any], count: int, tmp_path: Path
-) -> None:
-    wanted = unit_slips(Pixel(**pixel))
-    assert len(wanted) == count
-    file = file_of(tmp_path / "a.toml", pixel)
-    with warnings.catch_warnings(action="always"):
-        code, out, err = command(
-            f"run csf {SMALL} --json", "--config", file, "--out", tmp_path / "run"
-        )
-    assert code == 0, err
-    assert [err.count(f"warning: {text}\n") for text in wanted] == [1] * count
-    assert [note["text"] for note in json.loads(out)["notes"] if note["text"] in wanted] == wanted
-    irradiance = pixsim.read_exr(tmp_path / "run/irradiance.exr")
-    camera = pixsim.Camera.model_validate(irradiance.header["camera"])
-    with warnings.catch_warnings(record=True, action="always") as caught:
-        pixsim.evaluate(irradiance, camera, Pixel(**pixel), display=pixsim.Display(dots=64))
-    assert [
-        str(warning.message).removesuffix(".")
-        for warning in caught
-        if "pixel: " in str(warning.message)
-    ] == wanted
-    in_study = {name: value for name, value in pixel.items() if name != "pitch_um"} | {
-        "data_sheet_pitch_um": 30.0
-    }
-    with warnings.catch_warnings(record=True, action="always") as caught:
-        prepare(
-            tiny(
-                technologies=["none"],
-                pixel=in_study,
-                pitch={"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]},
-            )
-        )
-    assert [
-        str(warning.message).removesuffix(".")
-        for warning in caught
-        if "pixel: " in str(warning.message)
-    ] == wanted
+def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) -> None:
+    slips = unit_slips(Pixel(**pixel))
+    assert len(slips) == count
+    light = pixsim.SpectralImage([550.0], 10.0, 30.0, data=np.full((90, 90, 1), 1e-3))
+    camera, display = pixsim.Camera(), pixsim.Display(dots=64, white_cd_per_m2=100.0)
+    assert noted(lambda: pixsim.evaluate(light, camera, Pixel(**pixel), display=display)) == slips
+    sheet = {name: value for name, value in pixel.items() if name != "pitch_um"}
+    sheet |= {"data_sheet_pitch_um": 30.0}
+    sizes = {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}
+    assert noted(lambda: prepare(tiny(technologies=["none"], pixel=sheet, pitch=sizes))) == slips
 
 
 # --- Several sensors
@@ -394,42 +350,15 @@ def test_study_of_data_sheets_gives_curves_of_each_alone(tmp_path: Path) -> None
     assert wells_e == pytest.approx([12000.0] * 2 + [30000.0 * (30 / 20) ** 2] * 2)
 
 
-def test_study_of_data_sheets_range_and_messages(tmp_path: Path) -> None:
-    for name, pixel in (("one", SHEET), ("other", OTHER), ("same", SHEET)):
-        file_of(tmp_path / f"{name}.toml", pixel)
-    (tmp_path / "half.toml").write_text(
-        "[pixel]\npitch_um = 6\nfull_well_e = 12000\n[camera]\nf_number = 2\n", encoding="utf-8"
-    )
-
-    def study_of(*names: str, more: str = "") -> Study:
-        plan = tmp_path / "plan.toml"
-        plan.write_text(
-            f'name = "x"\ntechnologies = {json.dumps(list(names))}\n{more}', encoding="utf-8"
-        )
-        return load_study(plan)
-
-    study = study_of("one.toml", "other.toml")
+def test_studies_of_sheets_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
+    files = [
+        str(file_of(tmp_path / f"{name}.toml", pixel))
+        for name, pixel in (("one", SHEET), ("same", SHEET), ("other", OTHER))
+    ]
+    one, same, other = files
+    study = load_study("pixel-size", technologies=[one, other])
     assert study.open_range_um == (5.0, 120.0), "a quarter of the smaller, four times the larger"
     with pytest.raises(pixsim.PixsimError, match="same data sheet; allowed: each data sheet once"):
-        check_technologies(study_of("one.toml", "same.toml"))
-    with pytest.raises(
-        pixsim.PixsimError, match=r"pitch\.min_um: got no value.*A data sheet has no fill factors"
-    ):
-        prepare(study_of("one.toml", "0.35um"))
-    mixed = study_of("one.toml", "0.35um", more="[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n")
-    assert [technology_of(mixed, name).name for name in mixed.technologies] == ["none", "0.35um"]
-    with (
-        pytest.warns(
-            UserWarning,
-            match=r"\[camera\] is not used: of a sensor among technologies, only \[pixel\] is used",
-        ),
-        pytest.warns(
-            UserWarning,
-            match=(
-                r"technology 0\.35um assumed, without read_noise_e, dark_current_e_per_s,"
-                r" quantum_effic"
-            ),
-        ),
-    ):
-        half = study_of("half.toml")
-    assert technology_of(half, half.technologies[0]).name == "0.35um"
+        check_technologies(load_study("pixel-size", technologies=[one, same]))
+    with pytest.raises(pixsim.PixsimError, match=r"pitch\.min_um: got no value"):
+        prepare(load_study("pixel-size", technologies=[one, "0.35um"]))
