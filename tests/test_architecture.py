@@ -53,7 +53,7 @@ SETTINGS = {
     "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
     "sensor.unit_slips",
     "studies.settings", "viewer.develop_options", "viewer.display_options", "viewer.merging",
-    "viewer.metric_options", "viewer.setting", "viewer.settings_file",
+    "viewer.metric_options", "viewer.requirements", "viewer.setting", "viewer.settings_file",
 }  # fmt: skip
 # Package -> packages of which it knows the settings, and nothing that computes.
 KNOWS_SETTINGS_OF = {"scene": ("viewer",), "report": ("light", "optics", "sensor", "viewer")}

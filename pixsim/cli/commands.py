@@ -34,7 +34,7 @@ from pixsim.cli.options import (
     without_none,
     write_answer,
 )
-from pixsim.cli.process import interruption
+from pixsim.cli.process import NOT_MET, interruption
 from pixsim.optics.lens_options import LensOptions
 from pixsim.report.commands import DEFAULT_OUT
 from pixsim.viewer.setting import Run
@@ -165,6 +165,17 @@ def run(
         common.SEVERAL,
         Parameter(help="Also write the raw frame in these formats, such as --raw tiff,png."),
     ] = None,
+    require: Annotated[
+        list[str] | None,
+        common.SEVERAL,
+        Parameter(
+            consume_multiple=True,
+            help=(
+                'Limits on metrics, such as --require "detectability>=5" "delta_e<=1". The'
+                " result says whether it meets each; if not, the exit code is 3."
+            ),
+        ),
+    ] = None,
     repeats: Annotated[
         int,
         Parameter(
@@ -219,6 +230,7 @@ def run(
         "seed": seed,
         "tolerance_e": tolerance_e,
         "noise_budget": noise_budget,
+        "require": require,
         **vars(score_options),
     }
     settings = options.settings(effort, **tables)
@@ -240,6 +252,9 @@ def run(
             seconds=seconds,
         )
     answer(document, json, page)
+    if not all(check["met"] for check in document.data.get("requirements", ())):
+        interruption.finish()
+        raise SystemExit(NOT_MET)
 
 
 @app.command(sort_key=3)

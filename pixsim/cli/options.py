@@ -192,7 +192,7 @@ def _origin_of_default(record: type[Record], name: str) -> str:
     return "none"
 
 
-_NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
+_NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*[<>]?=)")
 
 
 def _converted_values(kind: Any, tokens: Sequence[Token]) -> Any:

@@ -30,6 +30,7 @@ _WORDS_OF_SIGNAL = {
 }
 _IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
 # the exit code of a shell for a process that a signal ended, less the signal's number
+NOT_MET = 3  # exit code where a result does not meet a requirement
 _SIGNAL_EXIT = 128
 # for the clean-up after a signal; another one after that ends the process at once
 _PATIENCE_S = 5.0

@@ -77,6 +77,7 @@ from pixsim.viewer.display import white_light
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
+from pixsim.viewer.requirements import RequirementCheck
 from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import stage_words
 
@@ -317,6 +318,17 @@ def data(result: RunResult) -> dict[str, Any]:
         **_metrics_data(result),
         **_optional_settings_data(result),
     }
+    if result.requirement_checks:
+        content["requirements"] = [
+            {
+                "requirement": str(check.requirement),
+                "value": check.value,
+                "interval": list(check.interval),
+                "met": check.is_met,
+                "sure": check.is_sure,
+            }
+            for check in result.requirement_checks
+        ]
     if result.noise_budget:
         content["noise_budget"] = result.noise_budget.as_dict()
 
@@ -448,6 +460,7 @@ def facts(result: RunResult) -> Iterator[Block]:
     """Yield what the other metrics say, what there is of several sensors and frames, and what was
     run.
     """
+    yield from (Fact(_requirement_text(check)) for check in result.requirement_checks)
     for metric in metrics_named(result.settings.metrics)[1:]:
         yield Fact(plain_text(_metric_text(result, metric)))
     if result.interval_delta_e is not None:
@@ -464,6 +477,18 @@ def facts(result: RunResult) -> Iterator[Block]:
             " scored"
         )
     yield from map(Fact, _setup_words(result))
+
+
+def _requirement_text(check: RequirementCheck) -> Text:
+    """Return whether a requirement is met, and that this is not sure where the limit lies within
+    the interval.
+    """
+    low, high = check.interval
+    half = (high - low) / 2
+    value = with_error(check.value, half) if 0 < half < math.inf else estimate(check.value)
+    met_words = "met" if check.is_met else "not met"
+    unsure_words = "" if check.is_sure else "; not sure, the limit is within the 95 % interval"
+    return f"required {check.requirement}: ", Strong(met_words), f" ({value}){unsure_words}"
 
 
 def _metric_text(result: RunResult, metric: Metric) -> Text:

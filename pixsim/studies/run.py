@@ -61,6 +61,7 @@ from pixsim.viewer.metric_registry import metric_names, metrics_named
 from pixsim.viewer.metrics import DELTA_E, MetricRequest, NoNumberError, columns_with_numbers
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.raw_metrics import DETECTABILITY
+from pixsim.viewer.requirements import Requirement, RequirementCheck, requirement_of
 from pixsim.viewer.scene_light import (
     PreparedScene,
     SceneCache,
@@ -68,7 +69,7 @@ from pixsim.viewer.scene_light import (
     prepare_scene,
     registered_in,
 )
-from pixsim.viewer.score import Cause, FrameScore, LightError, Score
+from pixsim.viewer.score import Cause, FrameScore, LightError, Score, exceeded
 from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
@@ -525,6 +526,23 @@ class RunResult(RenderedRun, Result):
             metric for metric in metrics_named(self.settings.metrics) if metric is not DELTA_E
         ]
         return {metric.name: np.asarray(self.table.columns[metric.columns[0]]) for metric in others}
+
+    @property
+    def requirement_checks(self) -> tuple[RequirementCheck, ...]:
+        """Whether the result meets each requirement of its settings."""
+        return tuple(self._check(requirement_of(text)) for text in self.settings.require or ())
+
+    def _check(self, requirement: Requirement) -> RequirementCheck:
+        (metric,) = metrics_named([requirement.metric])
+        values = self.delta_e if metric is DELTA_E else self.judged[metric.name]
+        mean = float(values.mean())
+        low, high = self.interval(values, metric.columns[0]) or (mean, mean)
+        if metric is DELTA_E:
+            error_delta_e = sum(exceeded(self.light, self.light_limit).values())
+            if math.isnan(error_delta_e):  # it is unknown
+                error_delta_e = math.inf
+            low, high = low - error_delta_e, high + error_delta_e
+        return RequirementCheck(requirement, mean, (low, high))
 
     @cached_property
     def white_e(self) -> float:

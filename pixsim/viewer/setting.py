@@ -23,6 +23,7 @@ from pixsim.viewer.develop_options import Develop, check_develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merged
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricNames, MetricOptions
+from pixsim.viewer.requirements import RequirementText, requirement_of
 
 Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
 
@@ -161,6 +162,13 @@ class Run(Setting):
         description="values of the scene's <default> parameters, as -D sets them",
     )
     pixel: Annotated[Pixel, _PIXEL_WORDS] = Field(Pixel(), description="pixel of the sensor")
+    require: tuple[RequirementText, ...] | None = Field(
+        None,
+        description=(
+            "limits on metrics of the run, such as detectability>=5; the result says whether it"
+            " meets each"
+        ),
+    )
 
     @field_validator("scene", mode="before")
     @classmethod
@@ -176,6 +184,17 @@ class Run(Setting):
                 " scene.lux = 500"
             )
         return scene
+
+    @model_validator(mode="after")
+    def _requires_its_metrics(self) -> Self:
+        for text in self.require or ():
+            name = requirement_of(text).metric
+            if name not in self.metrics:
+                raise ValueError(
+                    f"got require = {text!r}; allowed: limits on the run's metrics,"
+                    f" {', '.join(self.metrics)}. Add {name} to metrics"
+                )
+        return self
 
     @model_validator(mode="after")
     def _frame_can_be_developed(self) -> Self:
