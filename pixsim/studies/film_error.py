@@ -116,7 +116,7 @@ def film_error(
     a dot, such as a zone plate, the changes grow at that rate from film to film. With less than one
     sample for each dot detail may be gone altogether, so a part of mean ΔE is added. The numbers
     are fitted to pictures with edges and textures, and others judge them
-    (`tests/studies/test_film_error.py`).
+    (`tests/benchmarks/film_error.py`).
 
     near, far : changes of mean ΔE (or another result) with half of the samples across, and from
         there to a quarter

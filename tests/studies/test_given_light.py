@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from helpers.tiny import COARSE, rows
 
-import pixsim
 from pixsim import Camera, SpectralImage, study
 
 SMALL = """name = "small"
@@ -95,43 +94,3 @@ def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(
     brighter = background.with_planes(1.02 * background.planes)
     study(file, tmp_path / "given", without=brighter, **options)
     assert rows_in(tmp_path / "given") != rows_in(tmp_path / "rendered")
-
-
-def test_a_file_of_light_may_be_that_without_the_target(tmp_path: Path) -> None:
-    """A run of two files is the evaluation of their lights."""
-    y, x = np.mgrid[:64, :64] - 31.5
-    files = [tmp_path / "with.npz", tmp_path / "without.npz"]
-    for file, contrast in zip(files, (0.1, 0.0), strict=True):
-        data = 1e-3 * (1 + contrast * (np.hypot(y, x) < 8.0))[..., None].astype(np.float32)
-        header = {"source": file.name}
-        image = SpectralImage([550.0], 30.0, 2700 / 64, data=data, header=header)
-        pixsim.write_npz(file, image)
-
-    display = {"white_cd_per_m2": 5000.0, "dots": 48}
-    metric = {"detectability": {"without": str(files[1])}}
-    run = pixsim.run(files[0], metric=metric, metrics=["detectability"], display=display)
-    light, without = (pixsim.read_irradiance(file) for file in files)
-    score = pixsim.evaluate(
-        light,
-        Camera(die_mm=2.7),
-        pixsim.Pixel(),
-        without=without,
-        display=pixsim.Display(**display),
-        metrics=["detectability"],
-    )
-    assert run.statistics[0]["detectability"] == score.metrics["detectability"] > 1
-
-
-def test_axes_and_conditions_vary_the_sensor_in_a_given_light(folder: Path) -> None:
-    """More noise and less time are worse."""
-    axis = {"name": "noise", "set": "pixel.row_noise_e", "values": [0.0, 20000.0]}
-    times_s = {"long": 0.1, "short": 1e-3}
-    conditions = [
-        {"name": name, "set": {"exposure": {"max_integration_s": time_s}}}
-        for name, time_s in times_s.items()
-    ]
-    options = {"light": other_light(), "axis": [axis], "condition": conditions} | BRIGHT
-    result = study(folder / "small.toml", folder / "axes", **options)
-    long, short, noisy, _ = (curve.mean().mean() for curve in result.curves)
-    assert long < short
-    assert long < noisy

@@ -148,17 +148,6 @@ def test_rows_of_axes_and_conditions_are_those_of_sweeps_with_their_settings() -
         assert without(rows, "bits", "condition") == list(expected)
 
 
-def test_tables_and_files_state_what_records_state(tmp_path: Path) -> None:
-    """Bit for bit; an argument takes precedence over a file."""
-    file = tmp_path / "settings.toml"
-    file.write_text(
-        "[display]\ndots = 48\nwhite_cd_per_m2 = 3000.0\n[exposure]\nwell_target = 0.5\n"
-    )
-    of_records = sweep(LIGHT, PIXELS, display=DISPLAY, exposure=Exposure(well_target=0.8))
-    of_tables = sweep(LIGHT, PIXELS, config=file, exposure={"well_target": 0.8})
-    assert list(of_tables) == list(of_records)
-
-
 def test_sensor_types_are_further_rows_within_the_ranges_of_the_technology() -> None:
     options: dict[str, Any] = {"display": DISPLAY, "seed": 3}
     technology = load_technology("0.35um")

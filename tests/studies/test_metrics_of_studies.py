@@ -19,7 +19,7 @@ from helpers.commands import command
 from helpers.tiny import rows, tiny
 
 import pixsim
-from pixsim.report.axes import optima_columns, regrets_columns
+from pixsim.report.axes import optima_columns
 from pixsim.report.regret import regrets_data
 from pixsim.report.run import run_document
 from pixsim.report.study_facts import contrast_words, study_notes
@@ -28,7 +28,6 @@ from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.files import load_study, settings_text
 from pixsim.studies.merit import study_neq
 from pixsim.studies.optimum import fit_of_metric
-from pixsim.studies.prepare import prepare
 from pixsim.studies.regret import condition_regrets, metric_regrets
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import MAX_RENDERS, Search
@@ -136,10 +135,9 @@ def test_study_of_conditions_has_regrets_and_best_sizes_by_each_metric(tmp_path:
     assert list(columns["best_information"]) == [curve.optimum.value for curve in result.curves]
     assert not any(name.startswith("mtf50") for name in columns), "it tells no best size"
 
-    regrets = condition_regrets(result.study, result.curves)
-    rows_of_metrics = [name for name in ("information", "delta_e") for _ in range(3)]
-    assert list(regrets_columns(regrets)["metric"]) == rows_of_metrics
-    day, night, weighted = (criterion.optimum.value for criterion in regrets[0].criteria)
+    by_information, by_delta_e = condition_regrets(result.study, result.curves)
+    assert by_delta_e.criteria[0].metric.is_delta_e
+    day, night, weighted = (criterion.optimum.value for criterion in by_information.criteria)
     mean = (day + night) / 2
     assert 0.9 * mean < weighted <= mean, "no size is better than that of each condition"
 
@@ -301,12 +299,6 @@ def test_search_comes_within_10_percent_of_the_maximum_of_what_is_seen_nowhere(
     maximum = max(excess_of_light(lux, 0.08) for lux in np.geomspace(100.0, 3000.0, 1000))
     assert search.positive_range() == (None, None)
     assert maximum - 0.1 < search.values[search.best] <= maximum + 1e-9
-
-
-def test_search_has_no_effect_in_a_study() -> None:
-    options = {"metrics": ["detectability"], "metric": {"detectability": {"solve_for": "contrast"}}}
-    with pytest.warns(UserWarning, match=r"^metric\.detectability\.solve_for.* nothing here"):
-        prepare(tiny(scene={"file": "target"}, **options))
 
 
 def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Path) -> None:

@@ -5,11 +5,15 @@ around the width of a sample.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.chains import imaging
 from helpers.film_pictures import PIXEL, covered, light
 from scipy.ndimage import zoom
@@ -20,10 +24,8 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.film_error import delta_e_on_films
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.screen import white_header
 
 BAYER = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 
@@ -206,19 +208,3 @@ def other_sensor(imaging: Imaging) -> Imaging:
     pixel = imaging.pixel
     update = {"pitch_um": 1.5 * pixel.pitch_um, "read_noise_e": 7.0}
     return replace(imaging, pixel=pixel.model_copy(update=update))
-
-
-def delta_e_of(films: Sequence[SpectralImage], imaging: Imaging) -> list[float]:
-    """The mean ΔE of whole pictures on several films, with the same noise."""
-    white = white_header([(imaging, films[0])])
-    shown = [
-        film.with_planes(film.whole.planes, header=film.header | white, margin=film.margin)
-        for film in films
-    ]
-    return (
-        delta_e_on_films(
-            [[(film, imaging.display)] for film in shown], [[None]] * len(films), imaging
-        )
-        .mean(axis=1)
-        .tolist()
-    )
