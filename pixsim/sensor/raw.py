@@ -251,7 +251,7 @@ def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
         if name != SATURATED and not isinstance(value, list)
     }
     write_channels(
-        path, {UNIT: dn}, {"unit": UNIT, **attributes, "facts": json.dumps(facts, sort_keys=True)}
+        path, {"Y": dn}, {"unit": UNIT, **attributes, "facts": json.dumps(facts, sort_keys=True)}
     )
 
 

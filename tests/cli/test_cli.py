@@ -275,7 +275,7 @@ def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
 
 def test_run_raw_exr_holds_digital_numbers(picture: Path) -> None:
     channels, header = read_channels(picture / "out/raw.exr")
-    dn = channels["DN"]
+    dn = channels["Y"]
     score = json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     pixels = int(2713.6 / 8)
     assert dn.shape == (pixels, pixels)

@@ -219,7 +219,7 @@ def test_render_top_left_is_kept_in_files(tmp_path: Path) -> None:
     assert code == 0, err
     pictures = {
         "irradiance.exr": pixsim.read_exr(out / "irradiance.exr").illuminance_lx(),
-        "raw.exr": read_channels(out / "raw.exr")[0]["DN"],
+        "raw.exr": read_channels(out / "raw.exr")[0]["Y"],
         "ideal.png": np.asarray(Image.open(out / "ideal.png").convert("L"), float),
         "image.png": np.asarray(Image.open(out / "image.png").convert("L"), float),
     }
