@@ -437,6 +437,13 @@ def compare(
         ),
     ] = None,
     sensor: common.SensorId = None,
+    raw: Annotated[
+        list[_RawFormat] | None,
+        common.SEVERAL,
+        Parameter(
+            help="Also write the first raw frame of each sensor, raw/NAME.exr and in these formats."
+        ),
+    ] = None,
     options: common.StudyOptions = common.NO_STUDY_OPTIONS,
 ) -> None:
     """Compare sensors in one scene, or two results.
@@ -476,6 +483,7 @@ def compare(
             match=match,
             repeats=repeats,
             sensor=sensor,
+            raw_formats=raw or [],
             progress=stage,
             seconds=seconds,
             **options.effort_and_output,

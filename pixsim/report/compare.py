@@ -48,6 +48,7 @@ from pixsim.report.verdicts import (
 )
 from pixsim.report.wording import DELTA_E
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.raw import write_frame
 from pixsim.show.document import (
     Answer,
     Block,
@@ -86,6 +87,7 @@ from pixsim.studies.design import BASE, Case, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.paired import Pairs, mean_interval
+from pixsim.studies.run import check_raw
 from pixsim.studies.sensors import SENSOR_TABLES, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import Condition, paths_of
 from pixsim.studies.table import ROWS_FILE
@@ -175,22 +177,30 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 # --- files
 
 
-def comparison_files(job: ComparisonJob) -> set[str]:
-    """Return the names of all files of a comparison but the list of them."""
+def comparison_files(job: ComparisonJob, raw_suffixes: Sequence[str] = ()) -> set[str]:
+    """Return the names of all files of a comparison but the list of them.
+
+    raw_suffixes : of the first raw frame of each sensor, where it is written
+    """
     figures = [_SCORES, *[NAME] * job.shown.first.settings.noise_budget]
     names = {PAGE, _JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
     for sensor in job.names:
         names |= {f"sensors/{sensor}.toml"} | {
             f"pictures/{picture}_{sensor}.png" for picture in ("image", "ideal", "delta_e")
         }
+        names |= {f"raw/{sensor}{suffix}" for suffix in raw_suffixes}
     return names
 
 
-def check_output(job: ComparisonJob, folder: str | os.PathLike[str]) -> None:
+def check_output(
+    job: ComparisonJob, folder: str | os.PathLike[str], raw_suffixes: Sequence[str]
+) -> None:
     """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not
-    write.
+    write, or if a format holds too few bits for a raw frame.
     """
-    check_replaceable(folder, comparison_files(job))
+    for case in job.shown.cases:
+        check_raw(case.settings, raw_suffixes)
+    check_replaceable(folder, comparison_files(job, raw_suffixes))
 
 
 def _settings_files(job: ComparisonJob) -> dict[str, str]:
@@ -276,8 +286,19 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
     )
 
 
-def comparison_page(result: Comparison) -> Document:
-    """Return the document of a comparison with its page and all other files."""
+def comparison_page(result: Comparison, raw_suffixes: Sequence[str] = ()) -> Document:
+    """Return the document of a comparison with its page and all other files.
+
+    raw_suffixes : of the first raw frame of each sensor, to write it
+    """
+
+    def write_frames(folder: Path) -> None:
+        if raw_suffixes:
+            (folder / "raw").mkdir()
+        for sensor in result.sensors:
+            for suffix in raw_suffixes:
+                write_frame(folder / f"raw/{sensor.name}{suffix}", sensor.score.frame)
+
     end = scale_end(max(sensor.score.statistics()["p99_delta_e"] for sensor in result.sensors))
     pictures = dict[str, bytes]()
     for sensor in result.sensors:
@@ -290,6 +311,7 @@ def comparison_page(result: Comparison) -> Document:
         comparison_document(result),
         lead=(_slider(result), *facts(result), *notes(result)),
         sections=_sections(result, end),
+        writers=(write_frames,),
         files={**pictures, **_settings_files(result.job)},
     )
 

@@ -40,6 +40,7 @@ def comparison_files(
     jobs: int | None,
     scheduler: str | None,
     agreed: bool,
+    raw_formats: Sequence[str],
     dry_run: bool,
     figures: Figures,
     progress: Stage,
@@ -52,6 +53,7 @@ def comparison_files(
     options : tables and fields of a study, which override `study` and `config`
     out : folder. None means one named by the sensors
     axes : NAME=VALUES each, which override the axes of the files
+    raw_formats : of the first raw frame of each sensor, besides EXR; none are written without
     progress, seconds : stages, and where their wall times are collected
     prepare_options : the other keywords of `pixsim.studies.sensors.prepare`
 
@@ -73,11 +75,15 @@ def comparison_files(
         folder = out or DEFAULT_OUT / "-".join(job.names)
         if dry_run:
             return comparison_outline_document(job, folder), None
-        check_output(job, folder)
+        # EXR holds every frame, as in a run.
+        raw_suffixes = [".exr", *(f".{suffix}" for suffix in raw_formats)] if raw_formats else []
+        check_output(job, folder, raw_suffixes)
         with output_folder(folder):
             result = run_prepared(
                 job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=folder
             )
             progress("report")
-            page = write(comparison_page(result), folder, {"seconds": seconds}, figures)
+            page = write(
+                comparison_page(result, raw_suffixes), folder, {"seconds": seconds}, figures
+            )
             return comparison_document(result, notes), page  # other notes are on stderr
