@@ -1,7 +1,7 @@
-"""A page of this machine on which settings are turned and the picture is seen: `pixsim explore`,
-`pixsim.explore`.
+"""The page of `pixsim explore` and `pixsim.explore`: a user turns settings and sees the picture.
 
-In come a scene, or light, and settings; out go pictures, numbers with their errors, commands and
-settings files. Everything is computed by `studies/run.py`, as `pixsim run` does, and said as by
-`report/run.py`. It imports what these do, and `report`.
+Input: a scene or light, and settings. Output: pictures, numbers with their errors, commands and
+settings files. `studies/run.py` computes everything, as for `pixsim run`, and `report/run.py` puts
+it into words.
+May import: what these two import, and `report`.
 """

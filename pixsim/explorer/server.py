@@ -50,8 +50,8 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-_MAX_MESSAGE_BYTES = 1 << 16  # of a message
-_FIRST_S = 10.0  # for the first request of a connection, and for the token of a page
+_MAX_MESSAGE_BYTES = 1 << 16
+_TIMEOUT_S = 10.0  # of the first request of a connection, and for the token of a page
 _MAX_CONNECTIONS = 64  # at once, of whoever: a browser opens six
 RELOAD_S = 3.0  # for a page that is loaded again
 # Codes of a WebSocket that is closed.
@@ -99,7 +99,7 @@ class _BoundedProtocol(H11Protocol):
         if len(self.connections) > _MAX_CONNECTIONS:
             transport.abort()
             return
-        self.loop.call_later(_FIRST_S, self._close_if_silent)
+        self.loop.call_later(_TIMEOUT_S, self._close_if_silent)
 
     def _close_if_silent(self) -> None:
         has_request = bool(self.scope)
@@ -122,7 +122,7 @@ class Pages:
         if self.loop is not None and self.open is not None:
             with suppress(Exception):  # whatever a page that is just closed raises
                 sending = self.open.send_json(message)
-                asyncio.run_coroutine_threadsafe(sending, self.loop).result(_FIRST_S)
+                asyncio.run_coroutine_threadsafe(sending, self.loop).result(_TIMEOUT_S)
 
     async def file(self, request: Request) -> Response:
         """Return a file of the page."""
@@ -135,7 +135,7 @@ class Pages:
         self.loop = asyncio.get_running_loop()
         await page.accept()
         try:
-            first = await asyncio.wait_for(page.receive_json(), _FIRST_S)
+            first = await asyncio.wait_for(page.receive_json(), _TIMEOUT_S)
             token = first.get("token") if isinstance(first, dict) else None
             if not isinstance(token, str) or not self._is_token(token):
                 await page.close(REFUSED)
@@ -205,7 +205,7 @@ def served(session: Session) -> Iterator[Path]:
         finally:
             server.should_exit = True
             if thread.is_alive():
-                thread.join(_FIRST_S)
+                thread.join(_TIMEOUT_S)
             listening.close()
 
 

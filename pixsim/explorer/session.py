@@ -55,8 +55,8 @@ REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
 _CURVE_STEPS = 4  # sizes on each side of the pixel's
 _SIZES_PER_DECADE = 12  # from one pixel size to ten times it
 _PROGRESS_INTERVAL_S = 0.2  # between two words on what is being done
-LINE = 10_000  # columns: the page breaks lines itself
-LIGHT: Any = {"display": {"white"}} | dict.fromkeys(
+_MAX_COLUMNS = 10_000  # of a line of text: the page breaks lines itself
+_LIGHT_SETTINGS: Any = {"display": {"white"}} | dict.fromkeys(
     ("scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"), True
 )
 
@@ -200,7 +200,7 @@ class Session:
             jobs.append(job)
             first_results.append(first)
             if first is not None:
-                self.send(self._message(request, number, first, sure=False))
+                self.send(self._message(request, number, first, has_errors=False))
 
         runs = []
         for number, (job, first) in enumerate(zip(jobs, first_results, strict=True)):
@@ -211,7 +211,7 @@ class Session:
                     first.score.image, result.score.image
                 )
                 message = self._message(
-                    request, number, result, sure=True, has_pictures=has_pictures
+                    request, number, result, has_errors=True, has_pictures=has_pictures
                 )
                 self.send(message)
             runs.append(rendered_run)
@@ -289,7 +289,7 @@ class Session:
         bands = [] if job.cases[0].picture else job.request.plan.light.bands.edges_nm.tolist()
         return content_hash(
             [
-                job.settings.model_dump(mode="json", include=LIGHT),
+                job.settings.model_dump(mode="json", include=_LIGHT_SETTINGS),
                 job.camera.model_dump(mode="json"),
                 bands,
             ]
@@ -325,7 +325,9 @@ class Session:
         image = rendered_run.irradiance
         if key in self._lights:
             cached = self._lights.pop(key).irradiance
-            if cached.shape == image.shape and _bare(cached.header) == _bare(image.header):
+            if cached.shape == image.shape and _without_estimated_white(
+                cached.header
+            ) == _without_estimated_white(image.header):
                 cached.header = image.header  # with the white
                 rendered_run = replace(rendered_run, irradiance=cached)
         while len(self._lights) >= MAX_LIGHTS:
@@ -340,18 +342,20 @@ class Session:
         number: int,
         result: RunResult,
         *,
-        sure: bool,
+        has_errors: bool,
         has_pictures: bool = False,
     ) -> dict[str, Any]:
-        """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if
-        the page `has_pictures` already.
+        """Return the message that shows a sensor on the page.
+
+        has_errors : whether the errors of the light are measured
+        has_pictures : whether the page has these pictures already
         """
         score = result.score
         job = result.prepared
         content: dict[str, Any] = {
             "number": request.number,
             "sensor": number,
-            "sure": sure,
+            "sure": has_errors,
             "values": self._values(result),
         }
         if not has_pictures:
@@ -363,7 +367,7 @@ class Session:
                 for name, picture in codes.items()
             }
             content |= {"pictures": uris, "end": end, "dots": score.image.shape[:2]}
-        if not sure:
+        if not has_errors:
             words = (
                 f"mean ΔE {estimate(result.mean_delta_e)} of one sensor, with errors that are being"
                 " measured"
@@ -380,7 +384,7 @@ class Session:
             command = command_words(LIGHT_FILE, (Path(SETTINGS_FILE),), {}, REPEATS, flags)
         is_sure = converged(result.light, result.light_limit)
         content |= {
-            "lines": text(run_document(result), LINE).splitlines(),
+            "lines": text(run_document(result), _MAX_COLUMNS).splitlines(),
             "unsure": "" if is_sure else NOT_CONVERGED,
         }
         return content | {"command": command, "settings": run_settings_text(job, result.irradiance)}
@@ -445,7 +449,7 @@ class Session:
             yield self._points[key]
 
 
-def _bare(header: Mapping[str, Any]) -> dict[str, Any]:
+def _without_estimated_white(header: Mapping[str, Any]) -> dict[str, Any]:
     """Return a header without the white that was estimated for a pixel."""
     estimated = (*HEADER_OF_WHITE.values(), "white_from") if "white_from" in header else ()
     return {name: value for name, value in header.items() if name not in estimated}

@@ -90,7 +90,7 @@ def answer(accuracy: Accuracy) -> Answer:
 
 
 def facts(accuracy: Accuracy) -> Iterator[Block]:
-    """Yield what follows the error of the default settings."""
+    """Yield the reference, the extreme cases and the assumption below the answer."""
     yield Fact(reference_words(accuracy))
     passed = sum(case.passed for case in accuracy.cases)
     yield Fact(
@@ -100,7 +100,7 @@ def facts(accuracy: Accuracy) -> Iterator[Block]:
 
 
 def reference_words(accuracy: Accuracy) -> str:
-    """Return what the errors are measured against."""
+    """Return the reference of the errors in words."""
     reference = accuracy.reference
     if reference is None:
         return "no reference: no film that fits in memory is accurate enough"

@@ -522,8 +522,8 @@ def data(result: Comparison) -> dict[str, Any]:
 
 
 def _further_data(result: Comparison) -> dict[str, Any]:
-    """Return what compare.json has of conditions, pairs of more than two sensors, further metrics
-    and sensor types, where a comparison has them.
+    """Return the entries of compare.json for conditions, pairs of more than two sensors, further
+    metrics and sensor types, where a comparison has them.
     """
     entries: dict[str, Any] = {}
     conditions = [group for group in result.groups() if group.first.condition]
@@ -561,15 +561,15 @@ def _settings_data(settings: Run) -> dict[str, Any]:
 
 
 def _condition_data(result: Comparison, group: SensorGroup) -> dict[str, Any]:
-    """Return what compare.json has of one condition."""
+    """Return the entry of a condition in compare.json: its weight, frames and differences."""
     condition = group.first.condition
     delta_e = {name: result.frames(name, condition=condition).tolist() for name in result.names}
     return {"weight": group.weight, "delta_e": delta_e, **_differences_data(result, condition)}
 
 
 def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
-    """Return what compare.json has of the first sensor and another one alone, beside their
-    difference.
+    """Return the entry of a pair in compare.json: the means of the first sensor and another
+    one, and what only these two share.
     """
     pairs = result.pairs(other)
     scores = {result.names[0]: list(mean_interval(pairs.a)), other: list(mean_interval(pairs.b))}
@@ -578,7 +578,7 @@ def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
 
 
 def _metric_data(result: Comparison, metric: Metric) -> dict[str, Any]:
-    """Return what compare.json has of a further metric, in the frames of all sensors on one
+    """Return the entry of a further metric in compare.json, from the frames of all sensors on one
     display.
     """
     first, *others = result.names
@@ -619,7 +619,9 @@ def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:
 
 
 def _display_data(display: DisplayDifference, names: tuple[str, str]) -> dict[str, Any]:
-    """Return the numbers as in compare.json; `better` is None where neither is surely better."""
+    """Return the entry of a display in compare.json. `better` is None where neither is surely
+    better.
+    """
     return asdict(display) | {
         "interval_delta_e": list(display.interval_delta_e),
         "better": {1: names[0], -1: names[1]}.get(display.sign),
@@ -690,8 +692,8 @@ def _sections(result: Comparison, scale_end_delta_e: float) -> Iterator[Section]
 
 
 def _detail(result: Comparison, end: float) -> Section:
-    """Return the detail where the errors differ most, or the one that is chosen in the settings, of
-    each sensor.
+    """Return the section with a detail of each sensor's picture: where the errors differ most, or
+    as chosen in the settings.
 
     end : of the colour scale of the ΔE maps
     """

@@ -127,8 +127,8 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
 
 
 def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
-    """Return a mean ΔE of a curve as text, with one warning: its largest cause or error of the
-    light, if that is too large.
+    """Return a mean ΔE of a curve as text, with one warning: of its largest cause, or of an error
+    of the light that is too large.
     """
     errors = curve.errors
     low, high = curve.optimum.mean_delta_e_interval
@@ -143,7 +143,7 @@ def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
 
 
 def interval_words(curve: Curve) -> str:
-    """Return the 95 % interval of a curve's optimum as text; none where the fit swings."""
+    """Return the 95 % interval of a curve's optimum as text, unknown where the fit swings."""
     if curve.fit_swings:
         return "unknown beside the steep flank"
     return interval(curve.optimum.interval_um)
@@ -350,7 +350,7 @@ def optima_data(curve: Curve) -> list[dict[str, Any]]:
 
 
 def _metrics_data(curve: Curve) -> dict[str, Any]:
-    """Return what summary.json has of metrics beside ΔE alone."""
+    """Return the entries of summary.json for metrics other than ΔE; empty for ΔE alone."""
     if curve.metrics == (DELTA_E,):
         return {}
     optima = {curve.metric.name: curve.optimum} | {

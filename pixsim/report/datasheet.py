@@ -50,7 +50,7 @@ FILES = ("report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES))
 
 @figure("photon_transfer", "Photon transfer: the slope is the system gain K.")
 def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
-    """Temporal variance against mean signal, both minus the dark."""
+    """Draw the temporal variance against the mean signal, both minus the dark."""
     transfer = sheet.transfer
     signal = sheet.signal_dn
     expected, expected_variance = sheet.expected
@@ -79,7 +79,7 @@ def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
 
 @figure("responsivity", "Responsivity R: the slope of signal over photons.")
 def _responsivity_plate(sheet: DataSheet) -> Drawing:
-    """Mean signal against photons."""
+    """Draw the mean signal against photons."""
     transfer = sheet.transfer
     photons = sheet.light.at
     fitted_dn = transfer.responsivity_dn_per_p.value * photons
@@ -94,7 +94,7 @@ def _responsivity_plate(sheet: DataSheet) -> Drawing:
 
 @figure("snr", "Signal over noise. The dynamic range lies between the vertical lines.")
 def _snr_plate(sheet: DataSheet) -> Drawing:
-    """SNR with temporal noise and with total noise against photons, log-log."""
+    """Draw the SNR with temporal and with total noise against photons, on logarithmic axes."""
     transfer = sheet.transfer
     rising = sheet.rising
     signal = rising.mean_dn - sheet.dark.mean_dn
@@ -128,7 +128,9 @@ def _snr_plate(sheet: DataSheet) -> Drawing:
     "linearity", "Deviation from a straight line, 5 to 95 % of saturation. Bars: standard error."
 )
 def _linearity_plate(sheet: DataSheet) -> Drawing:
-    """Relative deviation of the mean signal from a straight line, in the range that counts."""
+    """Draw the relative deviation of the mean signal from a straight line, in the range that
+    counts.
+    """
     linearity = sheet.linearity
     light = sheet.light
     error_percent = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
@@ -152,7 +154,7 @@ def _linearity_plate(sheet: DataSheet) -> Drawing:
     "dark_current", "Dark current: the slopes of mean and variance, and its rise with temperature."
 )
 def _dark_current_plate(sheet: DataSheet) -> Drawing:
-    """Mean and variance of dark frames against integration time, and dark current against
+    """Draw mean and variance of dark frames against integration time, and the dark current against
     temperature.
     """
     dark = sheet.dark_series
@@ -201,7 +203,7 @@ def deviations(sheet: DataSheet) -> dict[str, Array]:
 
 @figure("histograms", "Histograms of the mean dark image and response.")
 def _histogram_plate(sheet: DataSheet) -> Drawing:
-    """Logarithmic histograms of the stacks' mean images, with normal distributions of the same
+    """Draw logarithmic histograms of the stacks' mean images, with normal distributions of the same
     spread.
     """
     table: dict[str, Array] = {}

@@ -404,7 +404,7 @@ def _lens_values(data: LensData) -> dict[str, Any]:
 
 
 def _field_columns(data: LensData) -> dict[str, Array]:
-    """Return what rays and waves of the fields do, by names with units."""
+    """Return the columns of a row for each field: heights, spots, wavefronts and traced curves."""
     columns = {
         "field_deg": data.field_deg,
         "height_mm": data.height_mm,
@@ -444,7 +444,7 @@ def _lens_csv(data: LensData) -> str:
 
 
 def _title_of(data: LensData) -> str:
-    """Return one line that says which lens this is."""
+    """Return the line that names a lens, with its focal length, f-number, field and object."""
     lens = data.lens
     first = data.primary
     if math.isinf(lens.object_distance_mm):
@@ -494,7 +494,7 @@ _FIELD_HEADS = {
 
 
 def _field_table(data: LensData) -> DocumentTable:
-    """Return what rays and waves of every second field do."""
+    """Return heights, distortion, spots, wavefronts and MTFs of every second field."""
     columns = _field_columns(data)
     columns["distortion_percent"] = 100 * columns["distortion"]
     cells = [[number(value, _FIELD_DIGITS) for value in columns[name]] for name in _FIELD_HEADS]
@@ -519,8 +519,8 @@ _MAX_GHOSTS = 5
 
 
 def _ghost_table(data: LensData) -> DocumentTable:
-    """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that
-    focuses nearest to the sensor.
+    """Return the pairs of surfaces that reflect most light twice, and the pair that focuses it
+    nearest to the sensor.
     """
     ghosts = dict.fromkeys([*data.ghosts[:_MAX_GHOSTS], data.focused_ghost])
     rows = [

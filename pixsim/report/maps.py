@@ -723,7 +723,9 @@ class Group:
 
 
 def one_at_a_time_plate(result: CasesResult) -> Plate | None:
-    """Return the figure of the axes that are moved alone about the base, or None."""
+    """Return the figure of the axes that are moved alone about the base. Returns None without such
+    axes.
+    """
     names = [axis.name for axis in result.study.axis if axis.alone]
     if names and _bases_of(result):
         return tornado(result, one_at_a_time_groups(result, names))

@@ -117,8 +117,8 @@ _STATISTICS_WORDS = {
 def colour_rows(
     facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, float] | None
 ) -> list[tuple[str, str]]:
-    """Return what the page says of a colour sensor and its picture, (meaning, value) each; none for
-    a monochrome one.
+    """Return the rows of a colour sensor and its picture, (meaning, value) each; empty for a
+    monochrome sensor.
 
     facts : `ImagingChain.colour_facts`
     out_of_gamut : of its score
@@ -412,8 +412,8 @@ def _optional_settings_data(result: RunResult) -> dict[str, Any]:
 
 
 def notes(result: RunResult) -> list[Note]:
-    """Return what a reader should know besides the score: its causes, warnings, a black level that
-    clips dark noise.
+    """Return the notes of a run: causes of its ΔE, warnings, and a black level that clips dark
+    noise.
     """
     return list(
         dict.fromkeys(
@@ -423,7 +423,7 @@ def notes(result: RunResult) -> list[Note]:
 
 
 def dark_notes(result: RunResult) -> list[Note]:
-    """Return a note on the clipping of dark pixels at 0 DN; none if it is not visible, or a
+    """Return a note on the clipping of dark pixels at 0 DN; empty if it is not visible, or a
     correction removes its mean.
     """
     if result.settings.correction.removes_dark_level or not clips_dark(result.dark):
@@ -432,9 +432,7 @@ def dark_notes(result: RunResult) -> list[Note]:
 
 
 def assumption(result: RunResult) -> str:
-    """Return what was assumed of the technology and the lens, which nobody stated; empty for
-    nothing.
-    """
+    """Return the assumptions about technology and lens, where no setting states them, as text."""
     if result.prepared.cases[0].picture:
         lens_assumption = ""
     else:
@@ -446,8 +444,8 @@ def assumption(result: RunResult) -> str:
 
 
 def run_answer(result: RunResult) -> Answer:
-    """Return the answer of a run: the number of its first metric; below it what makes ΔE unsure,
-    where that was asked for.
+    """Return the answer of a run: the value of its first metric, and below it what makes its ΔE
+    uncertain.
     """
     first, *_ = metrics_named(result.settings.metrics)
     return Answer(
@@ -457,8 +455,8 @@ def run_answer(result: RunResult) -> Answer:
 
 
 def facts(result: RunResult) -> Iterator[Block]:
-    """Yield what the other metrics say, what there is of several sensors and frames, and what was
-    run.
+    """Yield the checks of requirements, the values of the other metrics, the numbers of sensors and
+    frames, and the set-up.
     """
     yield from (Fact(_requirement_text(check)) for check in result.requirement_checks)
     for metric in metrics_named(result.settings.metrics)[1:]:
@@ -492,8 +490,8 @@ def _requirement_text(check: RequirementCheck) -> Text:
 
 
 def _metric_text(result: RunResult, metric: Metric) -> Text:
-    """Return what a metric says of a run, with half of the 95 % interval of several sensors; beside
-    ΔE, of what it is.
+    """Return the value of a metric in words, with half of its 95 % interval over several sensors;
+    for a metric other than ΔE also the picture or frame that it judges.
     """
     if metric is DELTA_E:
         return "mean ΔE ", Strong(shown_mean_of(result))
@@ -560,9 +558,7 @@ def uncertain_metrics_words(result: RunResult) -> list[str]:
 
 
 def _setup_words(result: RunResult) -> list[str]:
-    """Return what was run: pixels and exposure, development where there is one, and how it is shown
-    and rendered.
-    """
+    """Return the lines on pixels and exposure, on development, and on display and render."""
     settings = result.settings
     rows, columns = result.score.frame.pixels
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
@@ -599,8 +595,8 @@ def _exposure_words(result: RunResult) -> str:
 
 
 def _light_words(result: RunResult) -> list[str]:
-    """Return the film and the render noise of a run; what was not measured of light that pixsim
-    rendered.
+    """Return the words on the film and the render noise of a run, and on errors that were not
+    measured.
     """
     noise = result.rendered.noise if result.rendered else None
     words = []
@@ -704,7 +700,7 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
 
 
 def _budgets_of(result: RunResult) -> dict[str, NoiseBudget]:
-    """Return the noise budget of a run by the words of its pixel; none where nobody asks."""
+    """Return the noise budget of a run by the words of its pixel; empty without the option."""
     budget = result.noise_budget
     return {} if budget is None else {f"{result.score.physics.pitch_um:g} µm": budget}
 

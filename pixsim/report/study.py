@@ -243,7 +243,7 @@ def _draw_mtf_terms(axes: Axes, result: StudyResult, curve: Curve) -> dict[str, 
 
 
 class PictureTask(NamedTuple):
-    """What a worker makes: the maps of a pixel size of the paper's, or the pictures of all sizes.
+    """Task of a worker: maps of one of the paper's pixel sizes, or pictures of all sizes.
 
     pitch_um : of the maps; 0 for pictures
     """
@@ -260,7 +260,7 @@ class PictureTask(NamedTuple):
 def make_pictures(
     call: tuple[int, PictureTask], result: StudyResult
 ) -> tuple[int, Views | SizeMaps]:
-    """Return what a worker makes, with its number; it imports no Matplotlib."""
+    """Return the pictures or maps of a task, with its number. Nothing here imports Matplotlib."""
     number, task = call
     if task.pitch_um:
         return number, size_maps(result, task.pitch_um, task.technology, SENSORS)
@@ -283,7 +283,7 @@ class StudyDrawing:
         self.sizes: dict[float, Future[SizeMaps]] = {}
 
     def begin(self, study: StudyResult) -> None:
-        """Begin with what follows from the light alone.
+        """Begin to draw the figures that follow from the light alone.
 
         study : in its light, without curves
         """
@@ -342,8 +342,8 @@ def _pictures_of_workers(
 
 
 def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]]:
-    """Return what draws the figures of all curves and of the first one; the first figure answers
-    what was asked.
+    """Return functions that draw the figures of all curves and of the first one. The first figure
+    answers the question of the study.
     """
     draw: list[Callable[[], Plate]] = [lambda: delta_e_against_pitch([first])]
     if len(result.curves) > 1:
@@ -491,8 +491,7 @@ def study_page(
     drawing: StudyDrawing,
     budgets: Mapping[str, NoiseBudget] = _NO_BUDGETS,
 ) -> Document:
-    """Return the document of a study without axes, or of one of the cases of another, with its
-    page.
+    """Return the document, with its page, of a study without axes or of a case of one with axes.
 
     budgets : of `noise_budgets`
     """
@@ -551,7 +550,7 @@ def plot_of(plate: Plate | DrawnFigure) -> Plot:
 
 
 def _about(result: StudyResult) -> Iterator[Block]:
-    """Yield what the numbers of a page mean."""
+    """Yield explanations of the numbers of a page."""
     yield _STUDY_EXPLAINED
     if any(curve.has_delta_e for curve in result.curves):
         yield DELTA_E
@@ -603,7 +602,7 @@ def agrees(is_agreed: bool) -> Text:
 
 
 def _rendered(result: StudyResult) -> str:
-    """Return what the light of a study was made from."""
+    """Return the source of a study's light, and the seeds, as a sentence."""
     header = result.irradiance.header
     seed = f", seed {header['seed']}" if "plan" in header else ""
     return f"Irradiance: {rendered_words(header)}{seed}. Study seed {result.study.seed}."

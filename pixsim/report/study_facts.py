@@ -35,8 +35,8 @@ def study_unconverged(result: StudyResult) -> list[Note]:
 
 
 def study_view_words(result: StudyResult) -> list[str]:
-    """Return a line on how a study of a data sheet's sensor or of a window is shown; none for other
-    studies.
+    """Return a line on how a study of a data sheet's sensor or of a window is shown; empty for
+    other studies.
     """
     study = result.study
     if (study.own_um is None and study.window_mm is None) or varied_view_settings(study):
@@ -84,8 +84,8 @@ def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
 
 
 def study_facts(result: StudyResult) -> list[Block]:
-    """Return what follows the optima of a study: regrets, errors of its light, and how it is
-    shown.
+    """Return the blocks below the optima of a study: regrets, errors of its light, lens and
+    display.
     """
     regrets = filter(None, map(metric_regrets, result.curves[:_MAX_REGRET_TABLES]))
     contrasts = [line for curve in result.curves for line in contrast_words(result, curve)]
@@ -112,7 +112,7 @@ def cause_notes(result: StudyResult) -> list[Note]:
 
 
 def study_notes(result: StudyResult) -> list[Note]:
-    """Return what a reader should know besides the optima: warnings, missed targets, a black level
+    """Return the notes of a study: causes of its ΔE, warnings, missed targets, and a black level
     that clips dark noise.
     """
     kinds = target_notes, _open_notes, _undefined_notes, _study_dark_notes

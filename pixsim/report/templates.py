@@ -201,7 +201,9 @@ def template_document(kind: str, of: str | None, output: Path | None) -> Documen
 
 
 def _packaged_study(name: str) -> str:
-    """TOML file of a packaged study, to be edited. Raises PixsimError for another name."""
+    """Return the TOML file of a packaged study, to be edited. Raises PixsimError for another
+    name.
+    """
     studies = packaged("data/studies")
     if name not in studies:
         raise invalid("--of", f"'{name}'", ", ".join(studies), did_you_mean(name, studies))
@@ -213,8 +215,8 @@ def _packaged_study(name: str) -> str:
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of such a file, for editors. Raises PixsimError for another
-    kind.
+    """Return the JSON schema (draft 2020-12) of a settings file, for editors. Raises PixsimError
+    for another kind.
     """
     schema = record_of(kind).model_json_schema()
     if kind == "sensor":  # a file has more than the pixel, which is plain numbers
@@ -229,7 +231,7 @@ def json_schema(kind: str) -> dict[str, Any]:
 
 
 def record_of(kind: str) -> type[Record]:
-    """The record of such a file. Raises PixsimError for another kind."""
+    """Return the record of a kind of settings file. Raises PixsimError for another kind."""
     if kind not in KINDS:
         raise invalid("kind", f"'{kind}'", " or ".join(KINDS))
     return KINDS[kind]
@@ -288,7 +290,7 @@ def allowed(field: dict[str, Any]) -> str:
 
 
 def toml_value(value: object) -> str:
-    """A value in TOML, which differs from JSON for tables only."""
+    """Return a value in TOML, which differs from JSON for tables only."""
     if isinstance(value, dict):
         return (
             "{ "

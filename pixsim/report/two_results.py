@@ -76,7 +76,9 @@ def _differences_plate(result: ResultsComparison) -> Drawing:
 
 
 def _pair_data(pair: ResultPairs) -> dict[str, Any]:
-    """Return the numbers for JSON; those that one pair does not tell are None."""
+    """Return the numbers of a pair for JSON, without interval and probability for one pair of
+    frames.
+    """
     pairs = pair.pairs
     is_single = pairs.a.size < MIN_PAIRS
     return {

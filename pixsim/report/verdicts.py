@@ -1,5 +1,5 @@
-"""What is said of pairs of sensors or results, and of what the sensors of a comparison have in
-common.
+"""Verdicts on pairs of sensors or results, and what the sensors of a comparison have in common,
+in words.
 """
 
 from __future__ import annotations
@@ -114,7 +114,8 @@ def requested_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
 
 
 def verdict_parts(result: Comparison, other: str, metric: Metric = DELTA_E) -> list[str]:
-    """Return which of the first sensor and another one is better by a metric, and what turns that.
+    """Return which of the first sensor and another one is better by a metric, and on what that
+    depends.
 
     other : name of the other one
     """
@@ -127,8 +128,8 @@ def verdict_parts(result: Comparison, other: str, metric: Metric = DELTA_E) -> l
 
 
 def dependences(result: Comparison, other: str) -> list[str]:
-    """Return what turns the answer by mean ΔE for the first sensor and another: the display, the
-    match, or the condition.
+    """Return sentences on the display, the match or the condition, where the better of two sensors
+    by mean ΔE depends on it.
 
     other : name of the other sensor
     """
@@ -218,8 +219,7 @@ def doubts(result: Comparison) -> list[str]:
 
 
 def notes(result: Comparison) -> list[Note]:
-    """Return what a reader should know besides the numbers, each once: warnings, and the notes of
-    all sensors.
+    """Return the notes of a comparison, each once: warnings, and the notes of all sensors.
 
     Notes that not all cases have name theirs.
     """
@@ -243,8 +243,8 @@ def notes(result: Comparison) -> list[Note]:
 
 
 def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
-    """Return the causes of a sensor's mean ΔE, a black level that clips dark noise, and what was
-    assumed.
+    """Return the notes of a sensor: causes of its mean ΔE, a black level that clips dark noise, and
+    assumptions.
     """
     pixel = sensor.case.settings.pixel
     sensor_notes = [cause.note for cause in sensor.causes]
@@ -270,7 +270,7 @@ def sensor_words(sensor: Case[Run]) -> str:
 
 
 def shared_stages(group: SensorGroup) -> list[str]:
-    """Return what `stage_words` say of every sensor."""
+    """Return the stages, in words, that all sensors have."""
     first, *others = [stage_words(case.settings) for case in group.cases]
     return [words for words in first if all(words in other for other in others)]
 
@@ -315,7 +315,7 @@ def common_words(job: ComparisonJob) -> list[str]:
 
 
 def _match_words(job: ComparisonJob) -> str:
-    """Return what the lenses of the sensors have in common."""
+    """Return how the lenses of the sensors are matched, in words."""
     camera = job.shown.first.camera
     sensor = job.shown.first.sensor
     match job.match:

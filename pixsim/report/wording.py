@@ -1,6 +1,4 @@
-"""Parts of several pages: captions, what suits several conditions, and the light behind a
-result.
-"""
+"""Words that several pages share: on ΔE, weighted means, the light, the lens and the display."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a type of results is shown."""
+"""Presentation of results: a document, a figure and CSV for each type of results."""
 
 from __future__ import annotations
 

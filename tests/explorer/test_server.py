@@ -156,7 +156,7 @@ def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
 
 def test_silent_connections_are_few_and_end(monkeypatch):
     """Any user of the machine can connect; the open page stays served."""
-    monkeypatch.setattr(server, "_FIRST_S", 0.2)
+    monkeypatch.setattr(server, "_TIMEOUT_S", 0.2)
     with (
         page_of(Session("csf", (), SMALL)) as page,
         socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened,

@@ -181,9 +181,7 @@ CLAIMS = [
         atol=1e-12,
     ),
     Claim(
-        "no equal steps below 0.1 nm",
-        lambda: float(spectral.regular_values(UNEQUAL) is None),
-        1.0,
+        "no equal steps below 0.1 nm", lambda: float(spectral.regular_values(UNEQUAL) is None), 1.0
     ),
     Claim("a table at whole nanometres", lambda: spectral.tabulated(NM).integral(400, 402), 802.0),
     Claim("widths of merged bands", lambda: merged_bands().band_width_nm, [10, 10, 10, 15, 10]),

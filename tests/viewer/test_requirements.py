@@ -38,7 +38,9 @@ def test_other_texts_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(("limit", "code"), [("delta_e<=100", 0), ("delta_e<=0.001", 3)])
-def test_command_ends_with_3_where_a_limit_is_not_met(limit: str, code: int, tmp_path: Path) -> None:
+def test_command_ends_with_3_where_a_limit_is_not_met(
+    limit: str, code: int, tmp_path: Path
+) -> None:
     options = "--resolution 64 --pixel.pitch-um 42.4 --display.dots 32"
     exit_code, answer, _ = command(f"run csf {options} --require {limit} --out {tmp_path}/out")
     assert exit_code == code
