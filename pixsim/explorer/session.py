@@ -325,9 +325,8 @@ class Session:
         image = rendered_run.irradiance
         if key in self._lights:
             cached = self._lights.pop(key).irradiance
-            if cached.shape == image.shape and _without_estimated_white(
-                cached.header
-            ) == _without_estimated_white(image.header):
+            headers = [_without_estimated_white(light.header) for light in (cached, image)]
+            if cached.shape == image.shape and headers[0] == headers[1]:
                 cached.header = image.header  # with the white
                 rendered_run = replace(rendered_run, irradiance=cached)
         while len(self._lights) >= MAX_LIGHTS:
