@@ -15,15 +15,14 @@ import numpy as np
 import pytest
 from helpers.statistics import check_mean, seeded
 
-from pixsim.sensor.correction import correct, residual_variance_e2
+from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import SUFFIXES, read_frame, saturated_of, write_frame
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, capture_from_rates, least_black_level_dn, sample_sensor
-from pixsim.viewer.dark_clip import dark_clip
+from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 
 COUNT = 8
 TIME_S = 0.04
@@ -164,42 +163,6 @@ def test_defect_between_saturated_pixels_is_saturated() -> None:
     corrected = correct(frame, sensor, Correction(dark_frames=4, defects=True), seeded(3))
     places = [np.argwhere(pixels).tolist() for pixels in (frame.saturated, corrected.saturated)]
     assert places == [[[10, 10], [10, 11], [30, 30]], [[10, 10], [10, 11]]]
-
-
-def test_dark_level_is_clipped_in_each_exposure() -> None:
-    readout = reading(black_level_dn=1.0, dark_current_e_per_s=0.0, dsnu=0.0)
-    single = dark_clip(readout, TIME_S / COUNT, 1e3)
-    burst = dark_clip(readout.burst(COUNT), TIME_S, COUNT * 1e3)
-    assert burst["at_zero_fraction"] == single["at_zero_fraction"]
-    assert burst["too_bright_e"] == pytest.approx(COUNT * single["too_bright_e"], rel=1e-12)
-    assert burst["of_display_white"] == pytest.approx(single["of_display_white"], rel=1e-12)
-    black_dn = least_black_level_dn(readout.burst(COUNT), TIME_S)
-    assert black_dn == least_black_level_dn(readout, TIME_S / COUNT)
-    check_mean("clipped dark", taken(readout, 0.0).estimate_e.mean(axis=1), burst["too_bright_e"])
-
-
-def test_dark_frames_are_bursts_too() -> None:
-    """Corrected by 4 dark bursts, a burst has the closed form's variance: temporal noise, and a
-    quarter of it without light.
-    """
-    correction = Correction(dark_frames=4)
-    readout = reading(row_noise_e=0.0)
-    sensor = sample_sensor(readout, (200, 200), seeded(6))
-    frame = capture_from_rates(np.full((200, 200), 2e4), sensor, BURST, seeded(7))
-    corrected = correct(frame, sensor, correction, seeded(8)).electrons
-    expected = residual_variance_e2(800.0, TIME_S, readout.burst(COUNT), correction)
-    dark_e2 = 20 + COUNT * (9 + 4 / 12)
-    assert (expected.temporal, expected.offsets) == pytest.approx((800 + dark_e2, dark_e2 / 4))
-    check_mean("corrected", ((corrected - 800.0) ** 2).mean(axis=1), float(expected.total))
-
-
-def test_one_exposure_is_a_frame_to_the_bit() -> None:
-    rates = seeded(9).uniform(0, 2e5, (60, 70))
-    sensor = sample_sensor(reading(), rates.shape, seeded(1))
-    plain = capture_from_rates(rates, sensor, Exposure(), seeded(2))
-    burst = capture_from_rates(rates, sensor, Exposure(frames=1, frame_time="each"), seeded(2))
-    for name in ("dn", "mean_e", "saturated"):
-        np.testing.assert_array_equal(getattr(burst, name), getattr(plain, name))
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

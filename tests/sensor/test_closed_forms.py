@@ -36,6 +36,7 @@ from pixsim.sensor.motion import (
     border_with_motion_um,
     motion_in_frame,
     motion_margin_um,
+    shifted_rows,
     velocity_um_per_s,
 )
 from pixsim.sensor.motion_options import NO_MOTION, Motion
@@ -1203,6 +1204,11 @@ ROLLING = Exposure(integration_s=1e-3, shutter="rolling", line_time_us=10.0)
 FAST = Motion(image_um_per_s=(0.0, -4e3))
 
 
+def slow_wave(shift: float) -> np.ndarray:
+    """Three periods on 200 samples, which go on by reflection."""
+    return np.cos(math.pi * 6 * (np.arange(200) + 0.5 - shift) / 200)
+
+
 def margin_um(motion: Motion, exposure: Exposure) -> float:
     return motion_margin_um(motion, exposure, THIN, [(2.5, 1), (5.0, 2)])
 
@@ -1217,6 +1223,12 @@ MOTION = [
         ],
         [(-1.0, 1.5), (-2e-5, 3e-5), (0.0, 0.0)],
         rtol=1e-12,
+    ),
+    Claim(
+        "rows of a slow wave displaced by 0, 1 and -0.3 samples",
+        lambda: shifted_rows(np.tile(slow_wave(0.0), (3, 1)), np.array([0.0, 1.0, -0.3])),
+        [slow_wave(0.0), slow_wave(1.0), slow_wave(-0.3)],
+        atol=1e-12,
     ),
     Claim(
         "three exposures of a burst are a third of the path apart",

@@ -87,14 +87,15 @@ def test_correction_leaves_the_closed_form(frames: dict[str, Any], signal_e: flo
 
 
 @pytest.mark.parametrize("frames", [{"dark_frames": 4}, {"dark_frames": 4, "flat_frames": 4}])
-def test_correction_at_gain_leaves_the_closed_form(frames: dict[str, Any]) -> None:
-    """Dark and flat frames have the gain of the picture, whatever that of the sensor: at 0 dB the
-    read noise would be 300 e-, and the flat level beyond the ADC's range.
+@pytest.mark.parametrize("burst", [1, 4])
+def test_correction_at_gain_leaves_the_closed_form(frames: dict[str, Any], burst: int) -> None:
+    """Dark and flat frames have the gain and the exposures of the picture, whatever those of the
+    sensor: at 0 dB the read noise would be 300 e-, and the flat level beyond the ADC's range.
     """
-    noise = {"read_noise_after_gain_e": 300.0, "column_fpn": 0.0, "dark_current_e_per_s": 2e3}
-    sensor = sensor_of(**noise)
+    noise = {"read_noise_after_gain_e": 300.0, "column_fpn": 0.0, "black_level_dn": 4000.0}
+    sensor = sensor_of(**noise, dark_current_e_per_s=2e3)
     correction = Correction(**frames)
-    exposure = Exposure(integration_s=TIME_S, gain_db=20.0)
+    exposure = Exposure(integration_s=TIME_S, gain_db=20.0, frames=burst)
     electrons = corrected_e(sensor, 700.0, correction, exposure)
     amplified = replace(sensor, readout=sensor.readout.at(exposure))
     np.testing.assert_array_equal(corrected_e(amplified, 700.0, correction, exposure), electrons)

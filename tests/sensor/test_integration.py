@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.chains import imaging, scene_of
 from helpers.claims import Claim, check
-from helpers.lights import chart
 from helpers.statistics import seeded
 from scipy.constants import c as light_speed, h as planck
 from scipy.interpolate import BSpline, make_interp_spline
@@ -22,7 +20,6 @@ from scipy.interpolate import BSpline, make_interp_spline
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor import integration
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import (
     any_hard_edge,
     first_edge_um,
@@ -31,18 +28,11 @@ from pixsim.sensor.integration import (
     limit_overshoot,
     mean_signal_rate,
     pixel_count,
-    pixels_on,
     ringing_cells,
     running_integral,
 )
-from pixsim.sensor.pixel import CENTRED, Registration, derive
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.viewer.chain import make_chain
-from pixsim.viewer.display import on_dots
-from pixsim.viewer.display_options import Display
-from pixsim.viewer.evaluate import evaluate
-from pixsim.viewer.noise_budget import noiseless_frame
-from pixsim.viewer.scene_light import PreparedScene
 
 DIE_UM = 2713.6
 NM = np.array([420.0, 530.0, 660.0])
@@ -321,66 +311,6 @@ def test_signal_is_the_light_at_the_registered_places(colour: dict[str, Any] | N
         np.testing.assert_allclose(channel, channel[0, 0], rtol=1e-6)
 
 
-@pytest.mark.parametrize("registration", [CENTRED, (0.3, 0.8), (0.5, 0.0)])
-def test_a_ramp_is_shown_where_it_is(registration: Registration) -> None:
-    """Linear interpolation of a ramp between pixel centres is the ramp, wherever the pixels lie."""
-    size_um = (84.8, 169.6)
-    edges_um = (np.arange(20.0, 61.0, 5.3), np.arange(20.0, 150.0, 5.3))
-    counts = pixels_on(size_um, 3.1, registration)
-    y, x = (
-        first_edge_um(length_um, count, 3.1, border) + 3.1 * (np.arange(count) + 0.5)
-        for length_um, count, border in zip(size_um, counts, registration, strict=True)
-    )
-    shown = on_dots(2 * y[:, None] + x, 3.1, size_um, Display(dots=32), edges_um, registration)
-    middle_y, middle_x = ((edges[1:] + edges[:-1]) / 2 for edges in edges_um)
-    np.testing.assert_allclose(shown, 2 * middle_y[:, None] + middle_x, rtol=1e-12)
-
-
-CAMERA = Camera(die_mm=DIE_UM / 1e3)
-LONG = Exposure(integration_s=0.03)
-COARSE = Display(white_cd_per_m2=100.0, dots=96)
-
-
-def noiseless_delta_e(light: PreparedScene, pitch_um: float, repeats: int | None) -> float:
-    """Mean ΔE without noise over the registrations of some repeats, or of a centred array."""
-    settings = imaging(CAMERA, Pixel(pitch_um=pitch_um, infrared_cut_nm=700.0), LONG, COARSE)
-    places = [settings] if repeats is None else map(settings.registered, range(repeats))
-    chains = [make_chain(place, light) for place in places]
-    return float(
-        np.mean(
-            [chain.development.score(noiseless_frame(chain, 0.03)).mean_delta_e for chain in chains]
-        )
-    )
-
-
-def test_one_pixel_column_less_makes_no_step() -> None:
-    """At die/100 the number of columns falls. A centred array moves by half a pixel; the mean over
-    8 registrations hardly changes: by .05 %, if registrations shifted a centred grid.
-    """
-    light = scene_of(chart(), CAMERA, Pixel(infrared_cut_nm=700.0), COARSE, border_um=45.0)
-    pitches_um = DIE_UM / 100 * (1 + np.array([-1e-6, 1e-6]))
-    below, above = (noiseless_delta_e(light, um, 8) for um in pitches_um.tolist())
-    assert above / below == pytest.approx(1.0, abs=5e-4)
-    below, above = (noiseless_delta_e(light, um, None) for um in pitches_um.tolist())
-    assert abs(above / below - 1) > 5e-4
-
-
-def test_a_registration_at_the_centre_is_the_centred_array_to_the_bit() -> None:
-    display = COARSE.model_copy(update={"dots": 64})
-    scores = [
-        evaluate(
-            chart(),
-            CAMERA,
-            Pixel(pitch_um=42.4, infrared_cut_nm=700.0, registration=place),
-            LONG,
-            display,
-        )
-        for place in (None, (0.0, 0.0))
-    ]
-    np.testing.assert_array_equal(scores[0].frame.dn, scores[1].frame.dn)
-    np.testing.assert_array_equal(scores[0].delta_e, scores[1].delta_e)
-
-
 # --- Electrons
 
 
@@ -454,6 +384,13 @@ def technology_efficiency(technology: str, nm: float) -> float:
 
 NODES_NM = 645.5 + np.arange(10.0)
 LINE_NM = np.where(np.arange(10) == 5, 650.0, NODES_NM)
+SAMPLES = SpectralImage(
+    np.arange(405.0, 700.0, 10),
+    10.0,
+    20.0,
+    data=seeded(0).uniform(0.5, 1.5, (4, 4, 30)).astype(np.float32),
+)
+WEIGHT = integration.electrons_per_joule(derive(Pixel(pitch_um=20.0)), SAMPLES) * 1e-12
 IN_TENTHS = [NODES_NM], [np.full(10, 0.1)]
 BANDS = [
     *(
@@ -500,6 +437,19 @@ BANDS = [
         for cut_nm, below in ((651, 1.0), (649, 0.0))
     ),
     Claim(
+        "samples are summed in float64",
+        lambda: integration.ideal_rate(SAMPLES, derive(Pixel(pitch_um=20.0))),
+        [[math.fsum(WEIGHT * sample) for sample in row] for row in SAMPLES.data.astype(float)],
+        rtol=1e-14,
+    ),
+    Claim(
+        "a border at the centre of an even number of pixels is the centred array, to the bit",
+        lambda: mean_signal_rate(
+            SAMPLES, Camera(die_mm=0.08), derive(Pixel(pitch_um=20.0, registration=(0.0, 0.0)))
+        ),
+        mean_signal_rate(SAMPLES, Camera(die_mm=0.08), derive(Pixel(pitch_um=20.0))),
+    ),
+    Claim(
         "nine rows on a picture of ten are centred: a rise has the value at their centres",
         lambda: integrate_pixels(
             np.tile(np.arange(10.0)[:, None] + 0.5, (1, 12)), 1.0, 1.0, 1.0, size_um=(9.0, 12.0)
@@ -532,12 +482,3 @@ BANDS = [
 @pytest.mark.parametrize("claim", BANDS, ids=str)
 def test_light_within_bands_and_on_the_die(claim: Claim) -> None:
     claim.check()
-
-
-def test_bands_are_summed_in_float64() -> None:
-    data = seeded(0).uniform(0.5, 1.5, (4, 4, 30)).astype(np.float32)
-    image = SpectralImage(np.arange(405.0, 700.0, 10), 10.0, 20.0, data=data)
-    physics = derive(Pixel(pitch_um=20.0))
-    weight = integration.electrons_per_joule(physics, image) * 1e-12
-    sums = [[math.fsum(weight * sample) for sample in row] for row in data.astype(float)]
-    np.testing.assert_allclose(integration.ideal_rate(image, physics), sums, rtol=1e-14)

@@ -21,7 +21,7 @@ from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import MovingPicture, integrate_pixels
-from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum, shifted_rows
+from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum
 from pixsim.sensor.motion_options import NO_MOTION, Motion
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
@@ -95,13 +95,6 @@ def test_fronts_along_a_slanted_path_keep_their_contrast(sign: int, expected: fl
     assert contrast(pixels, still) == pytest.approx(expected, abs=2e-4)
 
 
-def test_light_that_stands_still_has_the_same_spline() -> None:
-    """But for its ends at the borders."""
-    samples = wave((200, 200), (20.0, 30.0))
-    still = integrate_pixels(samples, 1.0, 2.0, 1.6)[5:-5, 5:-5]
-    np.testing.assert_allclose(moved(samples, NO_IMAGE_MOTION)[5:-5, 5:-5], still, rtol=1e-4)
-
-
 @pytest.mark.parametrize(
     "motion",
     [
@@ -128,15 +121,6 @@ def test_point_in_the_dark_becomes_its_path() -> None:
     assert pixels.min() >= 0
     assert pixels.sum() == pytest.approx(samples.sum(), rel=0.05)
     np.testing.assert_allclose(pixels[15, 18:22], [0.25 / 6, 2 / 6, 2 / 6, 1.5 / 6], atol=0.08)
-
-
-def test_rows_are_displaced_by_their_shift() -> None:
-    """A slow wave that is reflected at the borders; whole samples move whole samples."""
-    x = np.arange(200) + 0.5
-    shift = np.array([0.0, 1.0, -0.3])
-    rows = shifted_rows(np.tile(np.cos(math.pi * 6 * x / 200), (3, 1)), shift)
-    expected = np.cos(math.pi * 6 * (x - shift[:, None]) / 200)
-    np.testing.assert_allclose(rows, expected, atol=1e-12)
 
 
 # --- Which way, and rows that see other times
@@ -200,13 +184,6 @@ def test_rolling_shutter_stretches_what_moves_along_with_it() -> None:
     np.testing.assert_allclose(edge_places_um(electrons, 0), 30.0 / (1 - 0.25 / 2.5), atol=2e-3)
 
 
-def test_exposures_of_a_burst_make_up_the_path_of_one() -> None:
-    motion = Motion(image_um_per_s=(4e4, 0.0))
-    light = soft_edge(0.0, 1)
-    burst = mean_e(light, Exposure(integration_s=1e-3, frames=2), motion)
-    np.testing.assert_allclose(burst, mean_e(light, FAST, motion), rtol=1e-9)
-
-
 # --- The chain
 
 
@@ -255,24 +232,6 @@ def test_mtf50_is_that_of_the_path() -> None:
         return float(lens * pixel * np.sinc(0.1 * frequency)) - 0.5
 
     assert score.metrics["mtf50"] == pytest.approx(brentq(excess, 1.0, 9.0), rel=1e-3)
-
-
-def test_pixels_at_other_places_need_no_more_room_than_the_picture() -> None:
-    """Detectability reads them, but nobody is shown them. Each dot is half a pixel wide, so that no
-    room is left by rounding; the border is 1.5 pixels and half of the path of 40 µm.
-    """
-    score = evaluate(
-        soft_edge(2.5, 1),
-        CAMERA,
-        PIXEL.model_copy(update={"bits": 12}),
-        FAST,
-        Display(white_cd_per_m2=1000, dots=320),
-        motion=Motion(image_um_per_s=(4e4, 0.0)),
-        metrics=("detectability",),
-        without=soft_edge(0.0, 1),
-    )
-    assert score.border_um[1] == pytest.approx(1.5 * 2.5 + 20.0, abs=1e-9)
-    assert score.metrics["detectability"] > 0
 
 
 QUAD = {
