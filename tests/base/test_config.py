@@ -300,17 +300,6 @@ def test_resolve_file_prefers_folder_of_config(
     assert load_study(study, quick=True).pixel.quantum_efficiency[0] == (400.0, 0.3)
 
 
-def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
-    pairs = [[400, 0.3], [550, 0.6], [700, 0.4], [900, 0.0]]
-    from_file = settings_of(sheet).pixel
-    assert (
-        pixsim.Pixel(
-            **from_file.model_dump(exclude={"quantum_efficiency"}), quantum_efficiency=pairs
-        )
-        == from_file
-    )
-
-
 # --- Precedence of study, files and options
 # -------------------------------------------------------------------------------------
 
@@ -405,13 +394,6 @@ def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
     assert (study_pitches_um(study, "0.35um").size, study.repeats) == (sizes, sensors)
 
 
-def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
-    paths = [
-        written(tmp_path / "a.toml", SHEET),
-        written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n"),
-    ]
-    pixel, other = (load_study("pixel-size", files).pixel for files in (paths, paths[::-1]))
-    assert (pixel.read_noise_e, pixel.full_well_e, other.read_noise_e) == (7, 12000, 2.5)
 
 
 def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
@@ -431,29 +413,6 @@ def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     )
 
 
-def test_study_layers_data_sheet_pitch_is_preserved(tmp_path: Path) -> None:
-    text = SHEET.replace("pitch_um = 4.0", "pitch_um = 4.0\ndata_sheet_pitch_um = 2.0")
-    study = study_of(text, tmp_path)
-    run = pixsim.derive(
-        pixsim.Pixel.model_validate(
-            study.pixel.model_dump() | {"technology": "none", "pitch_um": 4.0}
-        )
-    )
-    assert study.pixel.data_sheet_pitch_um == 2.0
-    assert (
-        pixsim.derive(pixel_of(study, "none", 4.0)).full_well_e
-        == run.full_well_e
-        == pytest.approx(4 * 12000)
-    )
-    assert study.own_um == 4.0, "the range follows from the sensor's own pitch"
-    assert study_pitches_um(study, "none")[-1] == 16.0
-
-
-def test_study_layers_data_sheet_disables_paper(tmp_path: Path) -> None:
-    study = study_of(SHEET, tmp_path, "chen2000")
-    assert not study.paper
-    assert "camera.die_mm" not in study.sources
-    assert study.sources["display.dots"].startswith("assumed")
 
 
 @pytest.mark.parametrize(

@@ -155,16 +155,3 @@ def test_digest_of_sees_each_change(
     assert found[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
 
 
-def test_digest_of_unchanged_file_is_not_read_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "a.txt"
-    path.write_text("one")
-    os.utime(path, (1, 1))
-    monkeypatch.setattr(
-        "pixsim.base.files.time.time_ns",
-        lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + 3 * UNCHANGED_NS,
-    )
-    first = digest_of(path)
-    monkeypatch.setattr(hashlib, "file_digest", None)
-    assert digest_of(path) == first

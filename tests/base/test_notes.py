@@ -37,20 +37,14 @@ def shown_as(
         yield shown
 
 
-def test_collected_notes_text_once_and_shown_once() -> None:
-    with shown_as("always") as shown, collected_notes() as notes:
-        for text in ("told", "other.", "told"):
-            tell(text)
-    assert notes == ["told", "other"]
-    assert [str(warning.message) for warning in shown] == ["told", "other."]
-
-
-def test_collected_notes_later_call_has_them_again() -> None:
-    """Python shows a warning of one place once a process; a result has it whatever came before."""
+def test_collected_notes_are_there_once_whatever_was_shown_before() -> None:
+    """Python shows a warning of one place once a process."""
     for _ in range(2):
-        with shown_as("default"), collected_notes() as notes:
-            tell()
-        assert notes == ["told"]
+        with shown_as("always") as shown, collected_notes() as notes:
+            for text in ("told", "other.", "told"):
+                tell(text)
+        assert notes == ["told", "other"]
+        assert [str(warning.message) for warning in shown] == ["told", "other."]
 
 
 def test_collected_notes_filters_of_caller_hold() -> None:
@@ -66,9 +60,8 @@ def test_collected_notes_machine_and_other_categories_are_shown_only() -> None:
     entry.
     """
     with shown_as("always") as shown, collected_notes() as notes:
-        tell("cache", MachineWarning)
-        tell("old", DeprecationWarning)
-        tell("cache", MachineWarning)
+        for category in (MachineWarning, DeprecationWarning, MachineWarning):
+            tell("cache", category)
     assert notes == []
     assert [warning.category for warning in shown] == [MachineWarning, DeprecationWarning]
 

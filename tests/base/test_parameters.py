@@ -24,33 +24,29 @@ def test_record_is_frozen(record):
         setattr(record(), next(iter(record.model_fields)), 1.0)
 
 
-def test_content_hash_ignores_order():
+def test_content_hash_ignores_the_order_of_keys_alone():
     one = Pixel.model_validate({"pitch_um": 5.3, "bits": 12})
     other = Pixel.model_validate({"bits": 12, "pitch_um": 5.3, "technology": "0.35um"})
     assert one.content_hash == other.content_hash
-    assert len(one.content_hash) == 16
-    assert content_hash({"a": {"b": 1, "c": 2}, "d": 3}) == content_hash(
-        {"d": 3, "a": {"c": 2, "b": 1}}
-    )
+    # BLAKE2b of the text {"a":1}, 8 bytes: `printf '{"a":1}' | b2sum -l 64`.
+    assert content_hash({"a": 1}) == "1f8c00645b7df6ce"
+    # Digits below single precision, the order of a list and the kind of a value count.
+    contents = [[1.0, 2.0], [2.0, 1.0], 1.0, 1.0 + 1e-15, "1", 1]
+    assert len(set(map(content_hash, contents))) == len(contents)
 
 
 def test_content_hash_depends_on_every_field():
-    veiled = Camera(die_height_mm=2.0, veiling_glare=0.1, veiling_glare_outside=0.1)
-    values = veiled.model_dump(exclude={"chief_ray_angle", "fall_off", "lens"})
-    changed = [Camera(**{name: value * 0.99}) for name, value in values.items()]
-    changed.append(Camera(chief_ray_angle=[[0, 0], [2, 20]]))
-    changed.append(Camera(fall_off=[[0, 1], [2, 0.5]]))
+    values = Camera(die_height_mm=2.0, veiling_glare=0.1, veiling_glare_outside=0.1).model_dump()
+    numbers = {name: value for name, value in values.items() if isinstance(value, float)}
+    changes: list[dict[str, object]] = [{name: 0.99 * value} for name, value in numbers.items()]
     lens = TracedLens(file="phone", focal_length_mm=3.86, f_number=4, field_mm=1.9, content="0")
-    changed.append(Camera(lens=lens))
-    assert len({camera.content_hash for camera in [Camera(), *changed]}) == 1 + len(
-        Camera.model_fields
-    )
-    # Digits below single precision, the order of a list and the kind of a value count as well.
-    assert content_hash([1.0, 2.0]) != content_hash([2.0, 1.0])
-    assert content_hash(1.0) != content_hash(1.0 + 1e-15)
-    assert content_hash("1") != content_hash(1)
-    # BLAKE2b of the text {"a":1}, 8 bytes: `printf '{"a":1}' | b2sum -l 64`.
-    assert content_hash({"a": 1}) == "1f8c00645b7df6ce"
+    changes += [
+        {"chief_ray_angle": [[0, 0], [2, 20]]},
+        {"fall_off": [[0, 1], [2, 0.5]]},
+        {"lens": lens},
+    ]
+    hashes = {Camera(**change).content_hash for change in ({}, *changes)}
+    assert len(hashes) == 1 + len(Camera.model_fields)
 
 
 def test_merge_later_values_take_precedence():
