@@ -159,6 +159,8 @@ def test_axes_of_the_command_line() -> None:
         {"name": "a.b and c.d", "set": ["a.b", "c.d"], "values": ["x", 1000.0]},
     ]
     assert light["to"] == 10.0
+    entries = [1, {"name": ["x"]}, {"name": "a", "values": [3]}]
+    assert axes_of(["a=1"], entries) == [*entries[:2], {"name": "a", "values": [1]}]
     assert axes_of(["lens=f/8"], [LENS]) == [LENS | {"values": LENS["values"][1:]}]
 
 

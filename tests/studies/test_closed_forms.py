@@ -268,6 +268,7 @@ CLAIMS = [
     Claim("one film: second order", lambda: predicted(None), [0.1], rtol=1e-12),
     Claim("two films: the order between them", lambda: predicted(1.2), [0.4 / 3], rtol=1e-12),
     Claim("two films: at least first order", lambda: predicted(0.4), [0.2], rtol=1e-12),
+    Claim("an error of 0 before: second order", lambda: predicted(0.0), [0.1], rtol=1e-12),
     Claim("two films: at most second order", lambda: predicted(9.0), [0.1], rtol=1e-12),
 ]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.tiny import COARSE, rows
 
-from pixsim import Camera, SpectralImage, study
+from pixsim import Camera, PixsimError, SpectralImage, study
 
 SMALL = """name = "small"
 repeats = 2
@@ -68,6 +68,8 @@ def test_settings_of_a_study_of_given_light_make_its_rows_again(folder: Path) ->
     study(settings, folder / "again", light=other_light(), jobs=1)
     assert first.camera.f_number == 5.6
     assert rows_in(folder / "again") == rows_in(folder / "a")
+    with pytest.raises(PixsimError, match=r"scene\.file: got light that was given"):
+        study(settings, folder / "none")
 
     study(settings, folder / "again", light=other_light(2), jobs=1)
     assert rows_in(folder / "again") != rows_in(folder / "a")

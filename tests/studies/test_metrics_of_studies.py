@@ -26,7 +26,7 @@ from pixsim.report.study_facts import contrast_words, study_notes
 from pixsim.show.render import text
 from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.files import load_study, settings_text
-from pixsim.studies.merit import study_neq
+from pixsim.studies.merit import run_neq, study_neq
 from pixsim.studies.optimum import fit_of_metric
 from pixsim.studies.regret import condition_regrets, metric_regrets
 from pixsim.studies.result import StudyResult
@@ -96,6 +96,13 @@ def test_noise_equivalent_quanta_are_those_of_the_best_size_up_to_its_nyquist_fr
     assert label == curve.label
     assert quanta.frequency_cy_per_mm[-1] == pytest.approx(nyquist, rel=1e-6)
     assert quanta.neq_per_mm2[0] > quanta.neq_per_mm2[-1] > 0
+
+
+@pytest.mark.parametrize("metric", ["information", "mtf50"])
+def test_run_has_noise_equivalent_quanta_with_the_metric_information(metric: str) -> None:
+    run = pixsim.run("flat", resolution=48, display={"dots": 32}, metrics=[metric])
+    pitches_um = [quanta.pitch_um for quanta in run_neq(run).values()]
+    assert pitches_um == ([run.settings.pixel.pitch_um] if metric == "information" else [])
 
 
 def test_study_resumes_rows_of_the_same_metrics_only(
