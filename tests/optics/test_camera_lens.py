@@ -2,6 +2,8 @@
 forms of a thin real lens.
 """
 
+from __future__ import annotations
+
 import math
 import warnings
 from dataclasses import asdict
@@ -10,19 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.blur import point_spread
+from helpers.claims import check
 from scipy.interpolate import CubicSpline
 
 from pixsim.base.errors import PixsimError
+from pixsim.base.toml import packaged
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
+    Distortion,
     Tiling,
+    band_groups,
     camera_blur,
     camera_distortion,
     camera_psfs,
     camera_with_lens,
     channel_wavefronts,
+    choose_tiling,
     dark_share,
     few_wavelengths,
     field_angles,
@@ -40,342 +47,311 @@ from pixsim.optics.lens import Lens, load_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.viewer.setting import Run
-from tests.scene.test_real_lens import THIN
+
+SINGLET = packaged("data/lenses")["singlet"].read_text()
+NO_OPTIONS = CameraOptions()
 
 
 def with_lens(
-    file: str,
+    file: str | Path,
     die_mm: float,
     distance_m: float = 5.0,
-    given: CameraOptions | None = None,
-    **options: object,
+    options: CameraOptions = NO_OPTIONS,
+    **lens: object,
 ) -> Camera:
     camera = Camera(die_mm=die_mm, object_distance_m=distance_m, transmittance=0.8)
-    return camera_with_lens(camera, given or CameraOptions(), LensOptions(file=file, **options))
+    return camera_with_lens(camera, options, LensOptions(file=str(file), **lens))
 
 
-def lens_from_prescription(camera: Camera) -> Lens:
-    assert camera.lens is not None
+def lens_in(camera: Camera) -> Lens:
     return traced_lens(camera.lens, camera.object_distance_m)
 
 
-def test_lens_of_the_users_that_is_scaled_to_the_die_is_told(tmp_path: Path) -> None:
-    """A lens that is bought has one focal length; the default, which fits it to the die, would be
-    another lens.
-    """
-    file = tmp_path / "mine.toml"
-    file.write_text(THIN, encoding="utf-8")
-    focal_mm = load_lens_focal(tmp_path)
-    with pytest.warns(
-        UserWarning,
-        match=rf"of {focal_mm:.5g} mm is scaled so .*lens\.focal_length_mm = {focal_mm:.5g} ",
-    ):
-        scaled = with_lens(str(file), 10.0)
-    assert scaled.lens is not None
-    assert not math.isclose(scaled.lens.focal_length_mm, focal_mm, rel_tol=0.01)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with_lens(str(file), 10.0, focal_length_mm=focal_mm)
-        with_lens("cooke_triplet", 10.0)
+def distortion_in(camera: Camera) -> Distortion:
+    distortion = camera_distortion(camera)
+    assert distortion is not None
+    return distortion
+
+
+GAUSS = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
+
+
+# The thin lens that stands for a real one
 
 
 @pytest.mark.parametrize("file", ["singlet", "cooke_triplet"])
-def test_thin_lens_of_a_camera_has_the_real_ones_light_on_the_axis_and_its_chief_rays(
-    file: str,
-) -> None:
+def test_thin_lens_has_the_real_ones_light_on_the_axis_and_its_chief_rays(file: str) -> None:
     camera = with_lens(file, 10.0, focal_length_mm=40.0)
-    lens = lens_from_prescription(camera)
+    lens = lens_in(camera)
     nm = lens.primary_nm
-    assert lens.first_order(nm).focal_length_mm == pytest.approx(40.0, rel=1e-9)
-    factor = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
-    assert factor == pytest.approx(float(lens.projected_solid_angle_sr(0.0, nm)), rel=1e-9)
-    assert camera.image_distance_mm == pytest.approx(lens.paraxial_height_mm, rel=1e-9)
-    assert camera.transmittance == 0.8  # the glass has no losses of its own
+    factor = irradiance_factor(camera.f_number, 0.0, camera.magnification)
     rows = np.array(camera.chief_ray_angle)
     field = lens.field_of_height(4.0, nm)
-    assert np.interp(4.0, rows[:, 0], rows[:, 1]) == pytest.approx(
-        float(lens.chief_ray(field, nm).angle_deg), abs=1e-3
-    )
-    assert np.interp(4.0, rows[:, 0], rows[:, 2]) == pytest.approx(
-        float(lens.relative_illumination(field)), abs=3e-5
-    )
+    angle = float(lens.chief_ray(field, nm).angle_deg)
+    illumination = float(lens.relative_illumination(field))
+    for name, got, wanted, atol in (
+        ("focal length", lens.first_order(nm).focal_length_mm, 40.0, 1e-8),
+        ("light", factor, lens.projected_solid_angle_sr(0.0, nm), 1e-10),
+        ("image distance", camera.image_distance_mm, lens.paraxial_height_mm, 1e-8),
+        ("losses", camera.transmittance, 0.8, 0.0),
+        ("chief ray", np.interp(4.0, rows[:, 0], rows[:, 1]), angle, 1e-3),
+        ("fall-off", np.interp(4.0, rows[:, 0], rows[:, 2]), illumination, 3e-5),
+    ):
+        check(name, got, wanted, atol=atol, why="a table of 129 rows, or rounding")
     assert rows[-1, 0] >= math.hypot(10.0, 10.0) / 2
 
 
-def test_largest_field_reaches_the_corner_unless_a_focal_length_is_given() -> None:
-    own = load_lens("cooke_triplet")
+def test_largest_field_reaches_the_corner_unless_a_focal_length_is_stated() -> None:
+    """The file's plane and the best focus differ a little."""
+    lens = load_lens("cooke_triplet")
     camera = with_lens("cooke_triplet", 20.0, 1e4)
-    height_mm = float(
-        lens_from_prescription(camera).chief_ray(own.max_field_deg, own.primary_nm).height_mm
-    )
-    assert height_mm == pytest.approx(
-        math.hypot(20.0, 20.0) / 2, rel=3e-3
-    )  # the file's plane and the best focus differ a little
+    height_mm = float(lens_in(camera).chief_ray(lens.max_field_deg, lens.primary_nm).height_mm)
+    check("height", height_mm, math.hypot(20.0, 20.0) / 2, rtol=3e-3, why="focus")
+
+
+def test_lens_of_a_user_that_is_scaled_to_the_die_is_noted(tmp_path: Path) -> None:
+    """A lens that is bought has one focal length."""
+    (tmp_path / "mine.toml").write_text(SINGLET)
+    with pytest.warns(UserWarning, match=r"is scaled so .*lens\.focal_length_mm = "):
+        with_lens(tmp_path / "mine.toml", 10.0)
+    focal_mm = load_lens("singlet").first_order(587.56).focal_length_mm
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with_lens(tmp_path / "mine.toml", 10.0, focal_length_mm=focal_mm)
+        with_lens("cooke_triplet", 10.0)
 
 
 def test_f_number_stops_down_and_the_widest_is_named() -> None:
-    camera = with_lens("cooke_triplet", 10.0, given=CameraOptions(f_number=8.0))
-    assert camera.lens is not None
+    camera = with_lens("cooke_triplet", 10.0, options=CameraOptions(f_number=8.0))
     assert camera.lens.f_number == 8.0
-    assert camera.f_number == pytest.approx(8.0, rel=0.01)
-    with pytest.raises(
-        PixsimError,
-        match=r"camera\.f_number: got 2; allowed: at least 4\.99998, the widest of 'cooke_triplet'",
-    ):
-        with_lens("cooke_triplet", 10.0, given=CameraOptions(f_number=2.0))
+    check("f-number on the axis", camera.f_number, 8.0, rtol=0.01, why="sine for tangent")
+    with pytest.raises(PixsimError, match=r"camera\.f_number: got 2; .*4\.99998"):
+        with_lens("cooke_triplet", 10.0, options=CameraOptions(f_number=2.0))
+
+
+@pytest.mark.parametrize("pupil_mm", [9.123456785, 3.857109995, 4.999999996])
+def test_lens_is_its_own_widest_at_any_scale(pupil_mm: float, tmp_path: Path) -> None:
+    """Its f-number in nine digits is not below the widest, whatever the digits."""
+    lines = [
+        f"value_mm = {pupil_mm}" if line.startswith("value_mm") else line
+        for line in SINGLET.splitlines()
+    ]
+    (tmp_path / "thin.toml").write_text("\n".join(lines))
+    camera = with_lens(tmp_path / "thin.toml", 1.0, focal_length_mm=20.0, refocus="paraxial")
+    first = load_lens(tmp_path / "thin.toml").first_order(587.56)
+    assert camera.lens.f_number == pytest.approx(first.f_number, rel=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("given", "match"),
+    ("options", "words"),
     [
-        (
-            CameraOptions(focal_length_mm=4.0),
-            r"camera\.focal_length_mm: .*Set lens\.focal_length_mm",
-        ),
-        (CameraOptions(chief_ray_angle=((0.0, 0.0), (9.0, 3.0))), r"camera\.chief_ray_angle: "),
+        (CameraOptions(focal_length_mm=4.0), r"camera\.focal_length_mm"),
+        (CameraOptions(chief_ray_angle=((0.0, 0.0), (9.0, 3.0))), r"camera\.chief_ray_angle"),
     ],
 )
-def test_what_the_lens_states_is_refused_beside_it(given: CameraOptions, match: str) -> None:
-    with pytest.raises(PixsimError, match=match):
-        with_lens("singlet", 4.0, given=given)
+def test_what_the_lens_states_is_refused_beside_it(options: CameraOptions, words: str) -> None:
+    with pytest.raises(PixsimError, match=words):
+        with_lens("singlet", 4.0, options=options)
+    camera = with_lens("singlet", 4.0)
+    with pytest.raises(PixsimError, match="for light that came through the lens"):
+        options.over(camera)
 
 
-@pytest.mark.parametrize("f_number", [1.000000005, 3.857109995, 9.999999996])
-def test_a_lens_is_its_own_widest_at_any_scale(f_number: float, tmp_path: Path) -> None:
-    """Its f-number in nine digits is not below the widest, whatever the digits."""
-    file = tmp_path / "thin.toml"
-    own = THIN.replace("value_mm = 0.1", f"value_mm = {load_lens_focal(tmp_path) / f_number:.17g}")
-    file.write_text(own, encoding="utf-8")
-    camera = with_lens(str(file), 1.0, focal_length_mm=20.0, refocus="paraxial")
-    assert camera.lens is not None
-    assert camera.lens.f_number == pytest.approx(f_number, rel=1e-8)
-
-
-def load_lens_focal(tmp_path: Path) -> float:
-    file = tmp_path / "wide.toml"
-    file.write_text(THIN, encoding="utf-8")
-    return load_lens(file).first_order(550.0).focal_length_mm
-
-
-def test_options_without_a_file_are_refused() -> None:
-    with pytest.raises(PixsimError, match=r"refocus without file"):
-        LensOptions(refocus="field")
-
-
-def test_a_changed_file_is_seen(tmp_path: Path) -> None:
-    from importlib import resources
-
-    text = (resources.files("pixsim") / "data/lenses/singlet.toml").read_text(encoding="utf-8")
+def test_changed_file_is_seen(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
-    file.write_text(text, encoding="utf-8")
-    camera = with_lens(str(file), 4.0)
-    file.write_text(text.replace("thickness_mm = ", "thickness_mm = 1", 1), encoding="utf-8")
+    file.write_text(SINGLET)
+    camera = with_lens(file, 4.0, focal_length_mm=20.0)
+    file.write_text(SINGLET.replace("thickness_mm = ", "thickness_mm = 1", 1))
     traced_lens.cache_clear()
     with pytest.raises(PixsimError, match="has changed since"):
-        lens_from_prescription(camera)
+        lens_in(camera)
 
 
-def test_settings_and_cameras_without_a_lens_are_written_as_before() -> None:
+def test_options_make_the_camera_again() -> None:
     assert "lens" not in Camera().model_dump()
     assert Run().model_dump()["lens"] == {}
     camera = with_lens("singlet", 4.0)
-    assert (
-        camera_with_lens(
-            Camera(**camera.options.over(Camera()).model_dump()),
-            camera.options,
-            camera.lens_options,
-        )
-        == camera
-    )
+    plain = camera.options.over(Camera())
+    assert camera_with_lens(plain, camera.options, camera.lens_options) == camera
 
 
-def test_points_lie_where_the_chief_rays_arrive() -> None:
-    """A spot at v tan θ of a picture without distortion, in any direction, is at the chief ray's
-    height in the picture.
+def test_lens_on_another_die_sees_the_same_field() -> None:
+    camera = with_lens("cooke_triplet", 24.0, 2.0)
+    other = lens_on_die(camera, Camera(die_mm=6.0), same_view=True)
+    check("field", other.fov_deg, camera.fov_deg, rtol=1e-6, why="four steps")
+    quarter = camera.lens.focal_length_mm / 4
+    assert other.lens.focal_length_mm == pytest.approx(quarter, rel=0.05)
+    assert lens_on_die(camera, camera) == camera
+    assert lens_on_die(camera, Camera(die_mm=12.0)).fov_deg < camera.fov_deg
+
+
+def test_die_beyond_the_image_circle_is_dark_there() -> None:
+    """US 7,535,658 has no rays beyond some field. The pupil there is that of the outermost light."""
+    camera = with_lens("phone", 12.0, 1.0, focal_length_mm=5.2)
+    heights_mm, _ = field_angles(camera.lens, 1.0, math.hypot(12.0, 12.0) / 2)
+    assert heights_mm[-1] < 6
+    dark = 1 - math.pi * heights_mm[-1] ** 2 / 144
+    check("dark share", dark_share(camera), dark, atol=0.02, why="the pupil shrinks before")
+    pupil = camera_pupil(camera).at([1e3 * heights_mm[-1], 6000.0], [0.0, 6000.0])
+    last, beyond = np.linalg.norm(pupil.chief_cosines, axis=-1)
+    check("chief ray", beyond, last, rtol=1e-12, why="the same pupil")
+
+
+# Distortion
+
+
+@pytest.mark.parametrize(("field", "azimuth"), [(8.0, 20.0), (14.0, 230.0)])
+def test_points_lie_where_the_chief_rays_arrive(field: float, azimuth: float) -> None:
+    """A spot at v tan θ of a picture without distortion is at the chief ray's height, and back."""
+    distortion = distortion_in(GAUSS)
+    lens = lens_in(GAUSS)
+    y, x = np.indices((240, 240)) - 119.5
+    radius = GAUSS.image_distance_mm * math.tan(math.radians(field)) * 10 / distortion.widening
+    direction = np.array([math.cos(math.radians(azimuth)), math.sin(math.radians(azimuth))])
+    spot = np.exp(-((x - radius * direction[0]) ** 2 + (y - radius * direction[1]) ** 2) / 18)
+    moved = distortion.applied(spot, 100.0, distortion.widening)
+    back = distortion.removed(moved, 100.0)
+    height = 10 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
+    straight = radius * distortion.widening * distortion.image_scale
+    assert abs(height - radius) > 0.5  # cells
+    for name, picture, wanted, atol in (
+        ("distorted", moved, height, 0.02),
+        ("and back", back, straight, 0.03),
+    ):
+        mean = np.array([(picture * x).sum(), (picture * y).sum()]) / picture.sum()
+        check(name, mean, wanted * direction, atol=atol, why="a spot of 3 cells")
+
+
+def test_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() -> None:
+    """Also where the plane of best focus is not the paraxial one. Distortion grows with the square
+    of the height: 1/100 of that at the corner is left at a tenth of it.
     """
-    camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
-    distortion, lens = camera_distortion(camera), lens_from_prescription(camera)
-    assert distortion is not None
-    cells, pitch_um = 240, 100.0
-    y, x = np.indices((cells, cells)) - (cells - 1) / 2
-    for field, azimuth in ((8.0, 20.0), (14.0, 230.0)):
-        widening = distortion.widening
-        at = camera.image_distance_mm * math.tan(math.radians(field)) * 1e3 / (pitch_um * widening)
-        turn = math.radians(azimuth)
-        spot = np.exp(-((x - at * math.cos(turn)) ** 2 + (y - at * math.sin(turn)) ** 2) / 18)
-        moved = distortion.applied(spot, pitch_um, widening)
-        found = np.array([(moved * axis).sum() / moved.sum() for axis in (x, y)])
-        height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
-        assert abs(height_um / pitch_um - at) > 0.5  # cells
-        np.testing.assert_allclose(
-            found, height_um / pitch_um * np.array([math.cos(turn), math.sin(turn)]), atol=0.02
-        )
-        back = distortion.removed(moved, pitch_um)
-        found = np.array([(back * axis).sum() / back.sum() for axis in (x, y)])
-        straight = at * widening * distortion.image_scale
-        np.testing.assert_allclose(
-            found, straight * np.array([math.cos(turn), math.sin(turn)]), atol=0.03
-        )
-
-
-def test_a_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() -> None:
-    """Also where the plane of best focus is not the paraxial one: near the axis, points stay where
-    they are.
-    """
-    distortion = camera_distortion(with_lens("double_gauss", 24.0, focal_length_mm=45.0))
-    assert distortion is not None
+    distortion = distortion_in(GAUSS)
     assert abs(distortion.image_scale - 1) > 5e-4
-    straight_mm = distortion.image_scale * distortion.undistorted_mm
-    moved = np.abs(straight_mm[1:] / distortion.height_mm[1:] - 1)
-    # Distortion grows with the square of the height: 1/100 of that at a tenth of it.
-    tenth = np.flatnonzero(distortion.height_mm[1:] <= 0.1 * distortion.height_mm[-1])
-    assert tenth.size > 1
-    assert moved[tenth].max() < 0.015 * moved[-1]
+    ratio = distortion.image_scale * distortion.undistorted_mm[1:] / distortion.height_mm[1:]
+    moved = np.abs(ratio - 1)
+    near = distortion.height_mm[1:] <= 0.1 * distortion.height_mm[-1]
+    assert near.sum() > 1
+    assert moved[near].max() < 0.015 * moved[-1]
 
 
-@pytest.mark.parametrize("file", ["phone", "double_gauss"])
+@pytest.mark.parametrize(("file", "die_mm"), [("phone", 2.7), ("double_gauss", 24.0)])
 @pytest.mark.parametrize("turn_deg", [0.0, 45.0, 90.0], ids=["radial", "diagonal", "tangential"])
 @pytest.mark.parametrize("frequency", [0.125, 0.24])
 def test_waves_through_distortion_have_their_means_over_film_cells(
-    file: str, turn_deg: float, frequency: float
+    file: str, die_mm: float, turn_deg: float, frequency: float
 ) -> None:
     """Against quadrature over the cells, within the stated error; cells of the phone's source are
-    up to 13 % larger or smaller.
-
-    Frequencies in cycles per cell. Values between cells instead of means over other cells would be
-    1.2 % off at the second.
+    up to 13 % larger or smaller. Frequencies in cycles per cell.
     """
-    die_mm, rows, columns = {"phone": 2.7, "double_gauss": 24.0}[file], 48, 800
-    pitch_um = die_mm * 1e3 / columns
-    camera = camera_with_lens(
-        Camera(die_mm=die_mm, die_height_mm=rows * pitch_um * 1e-3, object_distance_m=5.0),
-        CameraOptions(),
-        LensOptions(file=file),
-    )
-    distortion, turn = camera_distortion(camera), math.radians(turn_deg)
-    assert distortion is not None
-    source = CubicSpline(
-        *(
-            np.concatenate([-at[:0:-1], at])
-            for at in (distortion.height_mm, distortion.undistorted_mm)
-        )
-    )
-    y, x = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(columns) - (columns - 1) / 2
+    rows = 48
+    columns = 800
+    pitch_mm = die_mm / columns
+    camera = Camera(die_mm=die_mm, die_height_mm=rows * pitch_mm, object_distance_m=5.0)
+    distortion = distortion_in(camera_with_lens(camera, NO_OPTIONS, LensOptions(file=file)))
+    tables = distortion.height_mm, distortion.undistorted_mm
+    source = CubicSpline(*(np.concatenate([-table[:0:-1], table]) for table in tables))
+    direction = np.array([math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))])
+    y = np.arange(rows)[:, None] - (rows - 1) / 2
+    x = np.arange(columns) - (columns - 1) / 2
 
     def wave(y: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.exp(2j * np.pi * frequency * (x * math.cos(turn) + y * math.sin(turn)))
+        return np.exp(2j * np.pi * frequency * (x * direction[0] + y * direction[1]))
 
     node, weight = (part / 2 for part in np.polynomial.legendre.leggauss(4))
     truth = np.zeros((rows, columns), complex)
-    for a, u in zip(node, weight, strict=True):
-        for b, v in zip(node, weight, strict=True):
-            radius = np.hypot(y + a, x + b)
-            grown = source(radius * pitch_um * 1e-3) / (radius * pitch_um * 1e-3)
-            truth += u * v * wave((y + a) * grown, (x + b) * grown)
-    of_cells = distortion.widening * frequency * np.array([math.cos(turn), math.sin(turn)])
-    picture = wave(y * distortion.widening, x * distortion.widening) * np.prod(np.sinc(of_cells))
-    moved = distortion.applied(picture.real, pitch_um, distortion.widening)
-    moved = moved + 1j * distortion.applied(picture.imag, pitch_um, distortion.widening)
-    inside = slice(12, -12), slice(12, -12)
-    rms = float(
-        np.sqrt(np.mean(np.abs(moved - truth)[inside] ** 2) / np.mean(np.abs(truth)[inside] ** 2))
-    )
-    at = frequency * np.array([math.sin(turn), math.cos(turn)])
-    stated = float(moved_error(distortion, pitch_um, at)[0, 1])
-    assert stated / 20 < rms < stated
-    assert stated < 0.012
-    if frequency > 0.2:
-        assert (
-            moved_error(distortion, pitch_um, np.array([0.3]))[0, 0] == 0
-        )  # beyond half of the Nyquist frequency
+    for row, column in np.ndindex(4, 4):
+        radius_mm = np.hypot(y + node[row], x + node[column]) * pitch_mm
+        growth = source(radius_mm) / radius_mm
+        part = wave((y + node[row]) * growth, (x + node[column]) * growth)
+        truth += weight[row] * weight[column] * part
+    widening = distortion.widening
+    means = np.prod(np.sinc(widening * frequency * direction))
+    picture = wave(y * widening, x * widening) * means
+    moved = distortion.applied(picture.real, 1e3 * pitch_mm, widening)
+    moved = moved + 1j * distortion.applied(picture.imag, 1e3 * pitch_mm, widening)
+    error = np.abs(moved - truth)[12:-12, 12:-12]
+    rms = math.sqrt(np.mean(error**2) / np.mean(np.abs(truth)[12:-12, 12:-12] ** 2))
+    stated = float(moved_error(distortion, 1e3 * pitch_mm, frequency * direction[::-1])[0, 1])
+    assert stated / 20 < rms < stated < 0.012
+    assert moved_error(distortion, 1e3 * pitch_mm, np.array([0.3]))[0, 0] == 0, "beyond the film"
 
 
 def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
-    """An edge of two levels rings as one beside a bright and a black patch in the corner does."""
-    camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
-    distortion = camera_distortion(camera)
-    assert distortion is not None
+    """An edge of two levels rings as the same beside a bright and a black patch does."""
+    distortion = distortion_in(GAUSS)
     edge = np.where(np.arange(120) < 75, 1.0, 10.0) * np.ones((120, 1))
     patched = edge.copy()
-    patched[:4, :4], patched[:4, 4:8] = 1000.0, 0.0
-    one, other = (distortion.applied(each, 200.0, distortion.widening) for each in (edge, patched))
-    np.testing.assert_allclose(other[60:], one[60:], atol=1e-9)
-    assert one.min() < 0.9
-    assert one.max() > 10.1
+    patched[:4, :4] = 1000.0
+    patched[:4, 4:8] = 0.0
+    plain = distortion.applied(edge, 200.0, distortion.widening)
+    beside = distortion.applied(patched, 200.0, distortion.widening)
+    check("far from the patches", beside[60:], plain[60:], atol=1e-9, why="a spline's reach")
+    assert plain.min() < 0.9
+    assert plain.max() > 10.1
 
 
 def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
-    camera = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
-    seen, distortion = rendered_camera(camera), camera_distortion(camera)
-    assert distortion is not None
-    assert seen.lens is None
-    assert seen.die_mm / camera.die_mm == distortion.widening
+    camera = rendered_camera(GAUSS)
+    distortion = distortion_in(GAUSS)
+    assert camera.lens is None
+    assert camera.die_mm / GAUSS.die_mm == distortion.widening
     corner = float(distortion.undistorted_mm[-1] / distortion.height_mm[-1])
     assert 1 < corner <= distortion.widening < 1.02 * corner
-    assert rendered_camera(without_lens(camera)) == without_lens(camera)
+    assert rendered_camera(without_lens(GAUSS)) == without_lens(GAUSS)
+
+
+# Blur
 
 
 def traced_centroid_um(lens: Lens, field_deg: float, nm: float) -> tuple[float, float]:
-    """Height of the chief ray, and how much further out the mean of all rays lies, with equal light
-    in all directions.
+    """Return the height of the chief ray, and how much further out the mean of all rays lies, with
+    equal light in all directions: Simpson's rule along the radius.
     """
-    radius, turn = np.linspace(0, 1, 61)[:, None], np.arange(96) * (2 * np.pi / 96)
-    x, y = radius * np.sin(turn), radius * np.cos(turn)
+    radius = np.linspace(0, 1, 61)[:, None]
+    turn = np.arange(96) * (2 * np.pi / 96)
+    x = radius * np.sin(turn)
+    y = radius * np.cos(turn)
     waves = lens.wavefront(np.array([field_deg]), np.array([nm]), x.ravel(), y.ravel())
     cosines = waves.cosines[0].reshape(*x.shape, 2)
     outwards = np.gradient(cosines, radius[:, 0], axis=0, edge_order=2)
     order = 1j * np.fft.fftfreq(turn.size, 1 / turn.size)[:, None]
     around = np.fft.ifft(order * np.fft.fft(cosines, axis=1), axis=1).real
     area = np.abs(outwards[..., 0] * around[..., 1] - outwards[..., 1] * around[..., 0])
-    light = area * np.where(
-        radius == 1, 1, np.where(np.arange(61)[:, None] % 2, 4, 2)
-    )  # Simpson's rule; at radius 0 it is 0
-    return 1e3 * float(waves.chief_y_mm[0]), 1e3 * float(
-        (light * waves.y_mm[0].reshape(x.shape)).sum() / light.sum()
-    )
+    simpson = np.where(np.arange(61)[:, None] % 2, 4, 2)
+    light = area * np.where(radius == 1, 1, simpson)
+    mean_mm = (light * waves.y_mm[0].reshape(x.shape)).sum() / light.sum()
+    return 1e3 * float(waves.chief_y_mm[0]), 1e3 * float(mean_mm)
 
 
 @pytest.mark.parametrize(
-    ("file", "field", "nm", "within"),
+    ("file", "focal_mm", "die_mm", "pitch_um", "field", "nm", "within"),
     [
-        ("singlet", 5.0, 550.0, 0.1),
-        ("cooke_triplet", 10.0, 550.0, 0.03),
-        ("phone", 6.0, 450.0, 0.03),
-        ("phone", 12.0, 450.0, 0.06),
+        ("singlet", 50.0, 16.0, 3.0, 5.0, 550.0, 0.1),
+        ("cooke_triplet", 50.0, 26.0, 1.5, 10.0, 550.0, 0.03),
+        ("phone", 4.0, 3.2, 1.5, 6.0, 450.0, 0.03),
+        ("phone", 4.0, 3.2, 1.5, 12.0, 450.0, 0.06),
     ],
 )
-def test_a_points_picture_has_the_centroid_of_the_traced_spot_in_every_direction(
-    file: str, field: float, nm: float, within: float
+def test_picture_of_a_point_has_the_centroid_of_the_traced_spot(
+    file, focal_mm, die_mm, pitch_um, field, nm, within
 ) -> None:
-    """The singlet's rays miss by 60 µm of 50 mm: what counts as equal light in all directions
-    differs by 12 % of its centroid.
-
-    At 12° the phone lens's centroid is within 1 µm of the chief ray, of which the polynomials'
-    slopes at the rim leave 0.04 µm.
+    """In every direction, with lateral colour against the primary wavelength. The singlet's rays
+    miss by 60 µm of 50 mm: what counts as equal light in all directions differs by 12 % of its
+    centroid. At 12° the phone lens's polynomials leave 0.04 µm at the rim.
     """
-    focal_mm, die_mm, pitch_um = {
-        "singlet": (50.0, 16.0, 3.0),
-        "cooke_triplet": (50.0, 26.0, 1.5),
-        "phone": (4.0, 3.2, 1.5),
-    }[file]
     camera = with_lens(file, die_mm, 1e4, focal_length_mm=focal_mm, refocus="paraxial")
-    lens = lens_from_prescription(camera)
+    lens = lens_in(camera)
     chief_um, spot_um = traced_centroid_um(lens, field, nm)
-    assert (spot_um > 0) == (file != "singlet")
     height_um = 1e3 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
-    wanted_um = chief_um - height_um + spot_um  # with lateral colour against the primary wavelength
     light = channel_wavefronts(camera, np.array([nm]), np.ones(1), Tiling(0.0, 0.0, 0.0))
-    cells = 129
-    offsets = (np.arange(cells) - cells // 2) * pitch_um
-    for azimuth in np.radians([0, 45, 90, 135, 180, 225, 270, 315]):
+    offsets = (np.arange(129) - 64) * pitch_um
+    for azimuth in np.radians([0, 45, 135, 180, 270]):
         outwards = np.array([math.cos(azimuth), math.sin(azimuth)])
-        psf = point_spread(light, *(height_um * outwards), pitch_um, cells)
-        found_um = (
-            np.array([(psf.kernel * offsets).sum(), (psf.kernel * offsets[:, None]).sum()])
-            / psf.kernel.sum()
-        )
-        assert found_um @ outwards == pytest.approx(wanted_um, abs=within * abs(spot_um))
-        assert abs(found_um[0] * outwards[1] - found_um[1] * outwards[0]) < 0.005 * abs(spot_um)
+        kernel = point_spread(light, *(height_um * outwards), pitch_um, 129).kernel
+        sums = np.array([(kernel * offsets).sum(), (kernel * offsets[:, None]).sum()])
+        wanted = (chief_um - height_um + spot_um) * outwards
+        check("centroid", sums / kernel.sum(), wanted, atol=within * abs(spot_um), why="see above")
 
 
 STOP_IN_FRONT = """
@@ -405,121 +381,93 @@ glass = "air"
 """
 
 
-def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(tmp_path: Path) -> None:
-    """Light of two wavelengths from one point of the scene lies where the chief rays of both
-    arrive, in any direction.
-    """
-    file = tmp_path / "own.toml"
-    file.write_text(STOP_IN_FRONT, encoding="utf-8")
-    camera = with_lens(str(file), 10.0, 1e4, focal_length_mm=40.0)
-    lens, field = lens_from_prescription(camera), 8.0
-    heights_um = 1e3 * np.asarray(lens.chief_ray(field, np.array([450.0, 550.0, 650.0])).height_mm)
-    assert heights_um[2] - heights_um[0] > 80  # µm, ten cells
-    cells, pitch_um = 65, 8.0
-    offsets, tiling = (
-        (np.arange(cells) - cells // 2) * pitch_um,
-        Tiling(800.0, cells * pitch_um, 0.0),
-    )
-    for nm, height_um in zip((450.0, 650.0), heights_um[[0, 2]], strict=True):
-        psfs = camera_psfs(camera, (1250, 1250), pitch_um, tiling, np.array([nm]), np.ones(1))
-        chief_um, spot_um = traced_centroid_um(lens, field, nm)
-        assert chief_um == pytest.approx(height_um, rel=1e-12)
-        wanted_um = chief_um - heights_um[1] + spot_um
-        for turn in np.radians([0.0, 130.0, 225.0]).tolist():
-            outwards = np.array([math.cos(turn), math.sin(turn)])
-            x_um, y_um = heights_um[1] * outwards
-            kernel = psfs.at([(x_um, y_um)], pitch_um, cells)[0].kernel.astype(float)
-            # Where coarse detail lands: the first moment misses the light beyond the cells, more of
-            # it on one side.
-            period_um = cells * pitch_um / 2
-            phases = [
-                np.angle((kernel * np.exp(-2j * np.pi * at / period_um)).sum())
-                for at in (offsets, offsets[:, None])
-            ]
-            found_um = -np.array(phases) / (2 * np.pi) * period_um
-            assert found_um @ outwards == pytest.approx(wanted_um, abs=0.01 * pitch_um)
-            assert abs(found_um[0] * outwards[1] - found_um[1] * outwards[0]) < 0.01 * pitch_um
+@pytest.mark.parametrize("nm", [450.0, 650.0])
+def test_lateral_colour_of_a_point_is_that_of_the_traced_rays(nm: float, tmp_path: Path) -> None:
+    """Where coarse detail lands: the first moment misses the light beyond the cells."""
+    (tmp_path / "own.toml").write_text(STOP_IN_FRONT)
+    camera = with_lens(tmp_path / "own.toml", 10.0, 1e4, focal_length_mm=40.0)
+    lens = lens_in(camera)
+    heights_um = 1e3 * np.asarray(lens.chief_ray(8.0, np.array([nm, 550.0])).height_mm)
+    assert abs(heights_um[0] - heights_um[1]) > 25  # three cells
+    tiling = Tiling(800.0, 520.0, 0.0)
+    psfs = camera_psfs(camera, (1250, 1250), 8.0, tiling, np.array([nm]), np.ones(1))
+    chief_um, spot_um = traced_centroid_um(lens, 8.0, nm)
+    check("chief ray", chief_um, heights_um[0], rtol=1e-12, why="the same ray")
+    phase = np.exp(-2j * np.pi * (np.arange(65) - 32) / 32.5)
+    for turn in np.radians([0.0, 130.0, 225.0]).tolist():
+        outwards = np.array([math.cos(turn), math.sin(turn)])
+        kernel = psfs.at([tuple(heights_um[1] * outwards)], 8.0, 65)[0].kernel.astype(float)
+        phases = np.angle([(kernel * phase).sum(), (kernel * phase[:, None]).sum()])
+        wanted = (chief_um - heights_um[1] + spot_um) * outwards
+        check("place", -phases / (2 * np.pi) * 260.0, wanted, atol=0.08, why="1 % of a cell")
 
 
 def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:
     camera = with_lens("cooke_triplet", 24.0, focal_length_mm=50.0)
-    (front,), (finer,) = (
-        fitted_wavefronts(camera, (550.0,), 17),
-        fitted_wavefronts(camera, (550.0,), 33),
-    )
+    (front,) = fitted_wavefronts(camera, (550.0,), 17)
+    (finer,) = fitted_wavefronts(camera, (550.0,), 33)
     middles = front.height_um[:-1] + np.diff(front.height_um) / 2
-    for middle, exact in zip(middles, finer.numbers[1::2], strict=True):
-        found = front.at(float(middle))
-        np.testing.assert_allclose(found[:2], exact[:2], rtol=1e-5)
-        assert np.abs(found[3:30] - exact[3:30]).max() < 2e-3  # waves
-
-
-def test_lens_on_another_die_sees_the_same_field() -> None:
-    camera = with_lens("cooke_triplet", 24.0, 2.0)
-    other = lens_on_die(camera, Camera(die_mm=6.0), same_view=True)
-    assert other.fov_deg == pytest.approx(camera.fov_deg, rel=1e-6)
-    assert other.lens is not None
-    assert camera.lens is not None
-    assert other.lens.focal_length_mm == pytest.approx(camera.lens.focal_length_mm / 4, rel=0.05)
-    assert lens_on_die(camera, camera) == camera
-
-
-def test_a_die_beyond_the_image_circle_is_dark_there() -> None:
-    """US 7,535,658 has no rays beyond some field: the share of the die that stays dark is stated,
-    and has no light.
-
-    The pupil there, of which no light comes, is that of the outermost light.
-    """
-    camera = with_lens("phone", 12.0, 1.0, focal_length_mm=5.2)
-    heights, _ = field_angles(camera.lens, 1.0, math.hypot(12.0, 12.0) / 2)  # type: ignore[arg-type]
-    assert camera.relative_illumination is not None
-    assert heights[-1] < 6
-    assert dark_share(camera) == pytest.approx(1 - math.pi * heights[-1] ** 2 / 144, abs=0.02)
-    found = camera_pupil(camera).at([1e3 * heights[-1], 6000.0], [0.0, 6000.0])
-    assert np.isfinite(found.chief_cosines).all()
-    np.testing.assert_allclose(*np.linalg.norm(found.chief_cosines, axis=-1), rtol=1e-12)
+    numbers = np.array([front.at(float(middle)) for middle in middles])
+    check("half widths", numbers[:, :2], finer.numbers[1::2, :2], rtol=1e-5, why="a spline")
+    check("waves", numbers[:, 3:30], finer.numbers[1::2, 3:30], atol=2e-3, why="a spline")
 
 
 def test_few_wavelengths_have_the_moments_of_the_bands() -> None:
+    """Gauss's quadrature of 4 nodes is exact up to degree 7."""
     bands = np.arange(400.0, 701.0, 10.0)
     weight = np.exp(-(((bands - 560) / 60) ** 2))
     nm, share = few_wavelengths(bands, weight, 4)
-    for power in range(8):  # Gauss's quadrature of 4 nodes is exact up to degree 7
-        exact = (weight * (bands - 550) ** power).sum() / weight.sum()
-        assert (share * (nm - 550) ** power).sum() == pytest.approx(
-            exact, rel=1e-4, abs=1e-5 * 150**power
-        )
+    power = np.arange(8)[:, None]
+    exact = (weight * ((bands - 550) / 150) ** power).sum(axis=1) / weight.sum()
+    moments = (share * ((nm - 550) / 150) ** power).sum(axis=1)
+    check("moments", moments, exact, atol=1e-5, why="nodes in pm")
     nm, share = few_wavelengths(np.array([450.0, 550.0, 650.0]), np.array([0.0, 2.0, 0.0]), 4)
     assert (nm.tolist(), share.tolist()) == ([550.0], [1.0])
 
 
-def test_blur_of_a_lens_preserves_an_even_scene_and_is_remembered() -> None:
+def test_groups_of_bands_have_equal_weight_and_are_whole() -> None:
+    weight = np.r_[0.0, np.random.default_rng(1).uniform(1, 2, 60), 0.0]
+    groups = np.array(band_groups(weight, 6))
+    assert np.array_equal(groups.sum(axis=0), weight > 0)
+    check("weights", groups @ weight, np.full(6, weight.sum() / 6), atol=2.0, why="one band")
+
+
+def test_blur_of_a_lens_preserves_a_uniform_scene_and_is_remembered() -> None:
     camera = with_lens("singlet", 6.0)
-    tiling = Tiling(1000.0, 300.0, 0.0)
-    bands, weight = np.array([500.0, 600.0]), np.ones(2)
-    blur = camera_blur(camera, (96, 96), 62.5, tiling, bands, weight)
-    np.testing.assert_allclose(
-        blur.blurred(np.ones((96, 96))), 1.0, rtol=1e-6
-    )  # in single precision
-    assert camera_blur(camera, (96, 96), 62.5, tiling, bands, weight) is blur
+    light = Tiling(1000.0, 300.0, 0.0), np.array([500.0, 600.0]), np.ones(2)
+    blur = camera_blur(camera, (96, 96), 62.5, *light)
+    flat = np.ones((96, 96))
+    check("scene", blur.blurred(flat), flat, rtol=1e-6, why="single precision")
+    assert camera_blur(camera, (96, 96), 62.5, *light) is blur
 
 
-def test_mtf_of_a_lens_is_that_of_diffraction_where_it_is_stopped_down_and_far_below_it_over_a_large_die() -> (
-    None
-):
-    """Its rms over the die: of a tiny die on the axis of a slow lens that of the thin lens."""
-    frequency, ones = np.linspace(0, 45, 10), np.ones(1)
-    plane = {"data": np.ones((50, 50, 1)), "header": {LENS_HEADER: asdict(Tiling(20.0, 40.0, 0.0))}}
-    image = SpectralImage([550.0], 10.0, 2.0, **plane)
-    slow = with_lens("singlet", 0.1, given=CameraOptions(f_number=32.0), focal_length_mm=12.0)
-    found = lens_mtf(image, slow, ones, frequency)
-    np.testing.assert_allclose(
-        found, diffraction_otf(frequency, 550.0, slow.effective_f_number), atol=5e-3
+def test_tighter_tolerance_chooses_a_finer_tiling() -> None:
+    """Its stated error is within the tolerance, where the lens allows it."""
+    camera = with_lens("cooke_triplet", 6.0, focal_length_mm=20.0)
+    bands = (500.0, 550.0, 600.0), (1.0, 1.0, 1.0)
+    coarse, fine = (
+        choose_tiling(camera, (400, 400), 15.0, *bands, 30.0, tolerance)
+        for tolerance in (0.05, 0.01)
     )
+    assert coarse.error <= 0.05
+    assert fine.error < coarse.error or fine == coarse
+    assert fine.spacing_um <= coarse.spacing_um
+    assert 0 < fine.error <= fine.worst
+
+
+def test_mtf_of_a_slow_lens_is_that_of_diffraction_and_of_a_fast_one_far_below() -> None:
+    """Its rms over the die: of a tiny die on the axis of a slow lens that of the thin lens."""
+    frequency = np.linspace(0, 45, 10)
+    content = {
+        "data": np.ones((50, 50, 1)),
+        "header": {LENS_HEADER: asdict(Tiling(20.0, 40.0, 0.0))},
+    }
+    image = SpectralImage([550.0], 10.0, 2.0, **content)
+    slow = with_lens("singlet", 0.1, options=CameraOptions(f_number=32.0), focal_length_mm=12.0)
+    wanted = diffraction_otf(frequency, 550.0, slow.effective_f_number)
+    check("f/32", lens_mtf(image, slow, np.ones(1), frequency), wanted, atol=5e-3, why="waves")
     fast = with_lens("singlet", 2.7, focal_length_mm=12.0)
-    worse = lens_mtf(image, fast, ones, frequency)
-    assert worse is not None
-    assert worse[0] == pytest.approx(1, abs=1e-12)
-    assert 0.01 < worse[6] < 0.7 * diffraction_otf(30.0, 550.0, fast.effective_f_number)
-    thin = SpectralImage([550.0], 10.0, 2.0, data=np.ones((50, 50, 1)))
-    assert lens_mtf(thin, without_lens(fast), ones, frequency) is None
+    mtf = lens_mtf(image, fast, np.ones(1), frequency)
+    check("at 0", mtf[0], 1.0, atol=1e-12, why="light")
+    assert 0.01 < mtf[6] < 0.7 * diffraction_otf(30.0, 550.0, fast.effective_f_number)
+    assert lens_mtf(image, without_lens(fast), np.ones(1), frequency) is None

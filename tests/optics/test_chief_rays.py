@@ -1,23 +1,25 @@
-"""Chief ray angles of a camera: from files, rows and TOML, as values in hashes and settings, and
-what is refused.
+"""Chief ray angles and fall-off of a thin lens: from files, rows and TOML, as values in hashes and
+settings; directions and light that follow from them. What is refused stands in test_refusals.py.
 """
 
 from __future__ import annotations
 
 import json
-import re
+import math
 import tomllib
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.claims import check
 from helpers.tiny import tiny_toml
 
-from pixsim.base.errors import PixsimError
 from pixsim.base.records import checked
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.report.settings import record_rows
+from pixsim.optics.camera_light import camera_factor, camera_pupil
+from pixsim.optics.exchange import read_irradiance
+from pixsim.optics.stack import Stack, collected_shares
+from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.studies.files import load_study, settings_text
 from pixsim.studies.sensors import matched_cameras
 from pixsim.studies.settings import Study
@@ -29,198 +31,146 @@ ROWS = ((0.0, 0.0), (1.0, 12.0), (2.0, 21.5))
 LIT = ((0.0, 0.0, 1.0), (1.0, 12.0, 0.9), (2.0, 21.5, 0.7))
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working directory, with a folder `lens` of a table and a settings file."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lens").mkdir()
-    (tmp_path / "lens/cra.csv").write_text(CRA, encoding="utf-8")
-    (tmp_path / "lens/camera.toml").write_text(
-        '[camera]\nchief_ray_angle = "cra.csv"\n', encoding="utf-8"
-    )
-    return tmp_path
-
-
 @pytest.mark.parametrize(
     ("text", "rows"),
     [
         (CRA, ROWS),
         (f"# f/1.8\n\n{CRA.upper()}\n", ROWS),
+        ("image_height_mm,deg\n2,21.5\n1,12\n0,0\n", ROWS),
         ("deg;image_height_mm\n0;0\n12;1\n21,5;2\n", ROWS),
         ("relative_illumination\timage_height_mm\tdeg\n1\t0\t0\n0.9\t1\t12\n0.7\t2\t21.5\n", LIT),
+        ("Image height (mm);CRA (°);Relative illumination (%)\n0;0;100\n1;12;90\n2;21,5;70\n", LIT),
     ],
 )
 def test_table_is_read_by_the_names_of_its_columns(text: str, rows: object, tmp_path: Path) -> None:
-    file = tmp_path / "cra.csv"
-    file.write_text(text, encoding="utf-8")
-    camera = Camera(chief_ray_angle=file)
-    assert camera.chief_ray_angle == rows == Camera(chief_ray_angle=str(file)).chief_ray_angle
+    (tmp_path / "cra.csv").write_text(text, encoding="utf-8")
+    camera = Camera(chief_ray_angle=tmp_path / "cra.csv")
+    assert camera.chief_ray_angle == rows
     assert Camera(chief_ray_angle=[list(row) for row in rows]) == camera
     assert (camera.relative_illumination is None) == (rows is ROWS)
     assert Camera.model_validate(json.loads(camera.model_dump_json())) == camera
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "without these columns; allowed: a CSV file with the columns image_height_mm, deg"),
-        ("0,0\n1,12\n2,21\n", "Make the first line of 'cra.csv' image_height_mm,deg"),
-        ("image_height_mm,deg,relative_ilumination\n0,0,1\n2,3,1\n", "without these columns"),
-        ("image_height_mm,deg\n", "'cra.csv' of 0 rows; allowed: 2 to 1000 rows"),
-        ("image_height_mm,deg\n0,0\n1\n", "no 2 numbers in line 3"),
-        ("image_height_mm,deg\n0,0\n2,x\n", "no 2 numbers in line 3"),
-        ("image_height_mm,deg\n0,0\n2,nan\n", "nan.* in row 2; allowed: finite"),
-        ("image_height_mm,deg\n0,0\ninf,3\n", "inf.* in row 2; allowed: finite"),
-        (
-            "image_height_mm,deg\n-1,0\n2,3\n",
-            "begins with -1 mm and 0 degrees; allowed: 0 mm and 0 degrees",
-        ),
-        ("image_height_mm,deg\n0,1\n2,3\n", "begins with 0 mm and 1 degrees"),
-        (
-            "image_height_mm,deg\n0,0\n2,3\n1,2\n",
-            "2 mm followed by 1 mm; allowed: image heights that increase",
-        ),
-        (
-            "image_height_mm,deg\n0,0\n2,90\n",
-            "90 degrees in row 2; allowed: above -90 and below 90",
-        ),
-        (
-            "image_height_mm,deg\n0,0\n1.5,20\n",
-            "ends at an image height of 1.5 mm; allowed: up to the corner.*1.9189 mm",
-        ),
-        (
-            "image_height_mm,deg\n0,0\n1.9,62\n2,5\n",
-            "62 degrees at 1.9 mm.*horizon.*Give smaller angles or a larger f_number",
-        ),
-        (
-            "image_height_mm,deg,relative_illumination\n0,0,100\n2,3,80\n",
-            "of 100 in row 1.*Divide percentages by 100",
-        ),
-        (
-            "image_height_mm,deg,relative_illumination\n0,0,.8\n2,3,.7\n",
-            "0.8 on the axis; allowed: 1 there. Divide all values by",
-        ),
-        (
-            "image_height_mm,deg,relative_illumination\n0,0,1\n2,3,-.1\n",
-            "of -0.1 in row 2; allowed: 0 to 2",
-        ),
-        (
-            "image_height_mm,deg\n" + "".join(f"{row / 500},0\n" for row in range(1001)),
-            "of 1001 rows; allowed: 2 to 1000 rows",
-        ),
-        ("image_height_mm,deg\n" + "0,0\n" * 300_000, "of 1200020 bytes.*of up to 1048576 bytes"),
-        ("\x00\x01", "without these columns|not text"),
-    ],
-)
-def test_table_that_is_none_is_refused_with_its_file(text: str, message: str, folder: Path) -> None:
-    """The message names the setting and the mend, in Python, by the option, and with the TOML file
-    that names the table.
-    """
-    (folder / "cra.csv").write_text(text, encoding="utf-8")
-    (folder / "lens/cra.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(
-        PixsimError, match=f"chief_ray_angle.*({message.replace('cra.csv', '(lens/)?cra.csv')})"
-    ):
-        Camera(f_number=1.4, chief_ray_angle="cra.csv")
-    (folder / "lens/camera.toml").write_text(
-        '[camera]\nf_number = 1.4\nchief_ray_angle = "cra.csv"\n', encoding="utf-8"
-    )
-    with pytest.raises(PixsimError, match="chief_ray_angle"):
-        checked(Run, [settings_layer(folder / "lens/camera.toml")]).camera.over(Camera())
+def test_fall_off_of_a_table_begins_on_the_axis(tmp_path: Path) -> None:
+    (tmp_path / "fall.csv").write_text("image_height_mm,relative_illumination (%)\n1,90\n3,40\n")
+    camera = Camera(fall_off=tmp_path / "fall.csv")
+    assert camera.relative_illumination == ((0.0, 1.0, 3.0), (1.0, 0.9, 0.4))
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("missing.csv", "'missing.csv', which does not exist"),
-        (3.0, "neither a file nor a list of rows"),
-        ([[0, 0], [2, "x"]], "neither a file nor a list of rows"),
-        ([[0, 0], [2, 3, 1]], "all alike"),
-        ([["0", "0"], "12"], "of 1 rows"),
-        ([], "of 0 rows"),
-        (True, "got True"),
-        ([[0, 0], [1e400, 3]], "finite"),
-    ],
-)
-def test_values_that_are_no_table_are_refused(value: Any, message: str) -> None:
-    for record in (Camera, CameraOptions):
-        with pytest.raises(PixsimError, match=f"chief_ray_angle.*{message}"):
-            record(chief_ray_angle=value)
-
-
-def test_die_of_the_scene_and_of_the_options_decides_what_the_table_must_reach() -> None:
-    options = CameraOptions(chief_ray_angle=ROWS, die_mm=3.0)
-    with pytest.raises(PixsimError, match=r"die of 3 × 3 mm, 2\.1214 mm"):
-        options.over(Camera())
-    low = CameraOptions(chief_ray_angle=ROWS, die_mm=3.0, die_height_mm=2.0).over(Camera())
-    assert low.window(1.0).chief_ray_angle == ROWS
-    steep = ((0.0, 0.0), (2.0, 30.0), (4.0, 89.0))  # beyond the corner the angle does not matter
-    assert Camera(chief_ray_angle=steep).chief_ray_angle == steep
-
-
-def test_file_is_found_next_to_the_file_that_names_it_and_stored_as_values(folder: Path) -> None:
+def test_file_is_found_next_to_the_file_that_names_it_and_stored_as_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In a settings file, a study, and the values of its axis; an edit of the table changes the
     hash of the settings.
     """
-    layer = settings_layer(folder / "lens/camera.toml")
-    settings: Run = checked(Run, [layer])
-    assert settings.camera.chief_ray_angle == ROWS
-    kept = tomllib.loads(settings_text(settings, "command"))
-    assert kept["camera"]["chief_ray_angle"] == [list(row) for row in ROWS]
-    axis = (
-        '[[axis]]\nname = "angles"\nset = "camera.chief_ray_angle"\nvalues = ["cra.csv",'
-        ' "flat.csv"]\n'
-    )
-    (folder / "lens/flat.csv").write_text("image_height_mm,deg\n0,0\n2,0\n", encoding="utf-8")
-    (folder / "lens/study.toml").write_text(tiny_toml() + axis, encoding="utf-8")
-    study = load_study("lens/study.toml")  # in its working directory, so that the labels are short
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "lens"
+    folder.mkdir()
+    (folder / "cra.csv").write_text(CRA)
+    (folder / "flat.csv").write_text("image_height_mm,deg\n0,0\n2,0\n")
+    (folder / "camera.toml").write_text('[camera]\nchief_ray_angle = "cra.csv"\n')
+    settings: Run = checked(Run, [settings_layer(folder / "camera.toml")])
+    table = tomllib.loads(settings_text(settings, "command"))["camera"]["chief_ray_angle"]
+    assert table == [list(row) for row in ROWS]
+    axis = '[[axis]]\nname = "angles"\nset = "camera.chief_ray_angle"\nvalues = ["cra.csv", "flat.csv"]'
+    (folder / "study.toml").write_text(f"{tiny_toml()}{axis}\n")
+    study = load_study("lens/study.toml")
     values = tomllib.loads(settings_text(study, "command"))["axis"][0]["values"]
-    assert [value["set"]["camera"]["chief_ray_angle"][-1] for value in values] == [
-        [2.0, 21.5],
-        [2.0, 0.0],
-    ]
+    ends = [value["set"]["camera"]["chief_ray_angle"][-1] for value in values]
+    assert ends == [[2.0, 21.5], [2.0, 0.0]]
     again = Study.model_validate({"name": "again", "axis": [{"name": "angles", "values": values}]})
     assert [point.label for point in again.axis[0].points] == ["lens/cra.csv", "lens/flat.csv"]
-    (folder / "lens/cra.csv").write_text(CRA.replace("21.5", "22"), encoding="utf-8")
-    other: Run = checked(Run, [settings_layer(folder / "lens/camera.toml")])
-    assert other.camera.content_hash != settings.camera.content_hash
-
-
-def test_option_takes_a_file(folder: Path) -> None:
-    """In a plan, which needs no render; relative to the working directory."""
-    stack = (
-        "--pixel.stack.height-um 8 --pixel.stack.index 1.5 --pixel.stack.microlens square"
-        " --pixel.fill-factor 0.3"
-    )
-    options = "", "--camera.chief-ray-angle lens/cra.csv"
-    plans = [
-        command(f"plan flat --variant scalar_spectral --json {stack} {more}")[1] for more in options
-    ]
-    shares = [re.search(r"on axis, (\d+) % in the corner", plan) for plan in plans]
-    # Microlenses above photodiodes collect more in the corner of rays of 21.5° than of a thin lens.
-    assert [match and match[1] for match in shares] == ["28", "71"]
-    code, _, err = command("plan flat --variant scalar_spectral --camera.chief-ray-angle cra.csv")
-    assert code != 0
-    assert "camera.chief_ray_angle: got 'cra.csv', which does not exist" in err
+    (folder / "cra.csv").write_text(CRA.replace("21.5", "22"))
+    changed: Run = checked(Run, [settings_layer(folder / "camera.toml")])
+    assert changed.camera.content_hash != settings.camera.content_hash
 
 
 def test_cameras_of_a_comparison_share_the_lens_and_its_table() -> None:
-    """The lens for another die is the same one made larger, whose image heights grow with it; a
-    cropped die has them as is.
-    """
+    """Made larger for another die, its image heights grow; a cropped die has them as they are."""
     reference = Camera(die_mm=2.0, die_height_mm=1.5, chief_ray_angle=ROWS)
     larger = Camera(die_mm=4.0, die_height_mm=4.0)
-    _, seen = matched_cameras([reference, larger], "view")
-    assert seen.chief_ray_angle == tuple((2 * height, angle) for height, angle in ROWS)
-    _, seen = matched_cameras([reference, larger], "lens")
-    assert seen.chief_ray_angle == ROWS
+    _, camera = matched_cameras([reference, larger], "view")
+    assert camera.chief_ray_angle == tuple((2 * height, angle) for height, angle in ROWS)
+    _, camera = matched_cameras([reference, larger], "lens")
+    assert camera.chief_ray_angle == ROWS
+    cropped = CameraOptions(chief_ray_angle=ROWS, die_mm=3.0, die_height_mm=2.0).over(Camera())
+    assert cropped.window(1.0).chief_ray_angle == ROWS
 
 
-def test_pages_show_the_range_of_a_table_in_its_unit() -> None:
-    rows = {
-        name: value
-        for name, value, *_ in record_rows(
-            "camera", CameraOptions(chief_ray_angle=ROWS), from_data_sheet=False
-        )
-    }
-    assert rows["chief_ray_angle"] == "curve of 3 points, 0 to 2 mm"
+# Directions
+
+X_UM, Y_UM = (np.array([0.0, 900.0, -400.0, 1400.0]) * side for side in (0.8, 0.6))
+STACK = Stack(2.2, 1.3, 3.5, 1.5, microlens=True)
+
+
+@pytest.mark.parametrize("f_number", [1.4, 8.0])
+def test_table_of_the_thin_lens_has_its_shares(f_number: float) -> None:
+    """But for straight lines between 400 rows."""
+    camera = Camera(die_mm=2.8, f_number=f_number)
+    heights_mm = np.linspace(0, math.hypot(*camera.die_um) / 2e3, 400)
+    angles_deg = np.degrees(np.arctan(heights_mm / camera.image_distance_mm))
+    rows = tuple(zip(heights_mm.tolist(), angles_deg.tolist(), strict=True))
+    thin = camera_pupil(camera).at(X_UM, Y_UM)
+    pupil = camera_pupil(camera.model_copy(update={"chief_ray_angle": rows})).at(X_UM, Y_UM)
+    check("chief rays", pupil.chief_cosines, thin.chief_cosines, atol=1e-6, why="400 rows")
+    shares = collected_shares(STACK, thin)
+    check("shares", collected_shares(STACK, pupil), shares, atol=2e-5, why="400 rows")
+    assert shares[:, 2, 2].min() < 0.6
+
+
+def test_semi_axes_are_those_of_the_chief_ray_angle() -> None:
+    """NA cos CRA across the field and NA cos³CRA along it, around sin CRA, to second order in
+    NA: half way to 1 mm, towards the top.
+    """
+    chief = math.radians(10.0)
+    errors = []
+    for f_number in (4.0, 8.0):
+        rows = [[0, 0], [1.0, 20.0], [2.0, 30.0]]
+        camera = Camera(die_mm=2.8, f_number=f_number, chief_ray_angle=rows)
+        na = 1 / math.hypot(1, 2 * camera.working_f_number)
+        check("aperture", camera.numerical_aperture, na, rtol=1e-15, why="rounding")
+        pupil = camera_pupil(camera).at(0.0, -500.0)
+        check("centre", pupil.chief_cosines, [0.0, -math.sin(chief)], atol=1e-15, why="rounding")
+        across, along = pupil.boundary(np.linspace(0, 2 * np.pi, 4000))[0].T
+        area = float(pupil.area) / (math.pi * na * math.cos(chief))
+        axes = np.array([np.ptp(across) / 2, np.ptp(along) / 2, area])
+        errors.append(axes / (na * np.cos(chief) ** np.array([1, 3, 3])) - 1)
+    assert np.abs(errors[1]).max() < 1e-3
+    check("order", errors[0] / errors[1], np.full(3, 4.0), rtol=0.05, why="NA⁴")
+
+
+def test_telecentric_table_has_the_same_shares_everywhere() -> None:
+    camera = Camera(die_mm=2.8, f_number=1.4, chief_ray_angle=[[0, 0], [2, 0]])
+    shares = collected_shares(STACK, camera_pupil(camera).at(X_UM, Y_UM))
+    check("shares", shares, np.broadcast_to(shares[0], shares.shape), atol=1e-12, why="rounding")
+    thin = collected_shares(STACK, camera_pupil(Camera(die_mm=2.8, f_number=1.4)).at(X_UM, Y_UM))
+    assert thin[-1, 2, 2] < shares[0, 2, 2] - 0.1
+
+
+# Fall-off
+
+
+def test_angles_alone_leave_the_fall_off() -> None:
+    plain = Camera()
+    angles = plain.model_copy(update={"chief_ray_angle": ((0.0, 0.0), (2.0, 25.0))})
+    geometry = plain.image_distance_mm, plain.f_number, plain.magnification
+    wanted = field_factor((7, 9), 200.0, *geometry)
+    for camera in (plain, angles):
+        check("factor", camera_factor(camera, (7, 9), 200.0), wanted, why="the same bits")
+    assert plain.lights_like(angles)
+
+
+def test_relative_illumination_replaces_the_fall_off(tmp_path: Path) -> None:
+    """Linear between the rows, times Foote's factor on the axis; both rows have one slope."""
+    camera = Camera(die_mm=2.4, chief_ray_angle=[[0, 0, 1], [1, 20, 0.7], [2, 30, 0.4]])
+    assert not camera.lights_like(Camera(die_mm=2.4))
+    at_mm = (np.arange(16) - 7.5) * 0.15
+    on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+    wanted = on_axis * (1 - 0.3 * np.hypot(at_mm, at_mm[:, None]))
+    check("factor", camera_factor(camera, (16, 16), 150.0), wanted, rtol=1e-12, why="rounding")
+    part = camera_factor(camera, (16, 16), 150.0, np.s_[3:9, 8:16])
+    check("part", part, wanted[3:9, 8:16], rtol=1e-12, why="rounding")
+    arrays = {"wavelength_nm": [500.0, 550.0, 600.0], "units": "W/m^2/sr/nm"}
+    np.savez(tmp_path / "light.npz", data=np.full((16, 16, 3), 2.0), **arrays)
+    image = read_irradiance(tmp_path / "light.npz", camera)
+    check("radiance of a file", image.data[:, :, 1], 2 * wanted, rtol=1e-6, why="float32")
