@@ -20,6 +20,7 @@ from difflib import unified_diff
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers.browser import assert_fit, assert_prints, assert_sliders_move, needs_browser
 from helpers.commands import command
@@ -60,6 +61,11 @@ FURTHER_COMMANDS = {
         " --out accuracy"
     ),
     "folders": "compare run run --json",
+    "picture": (
+        "run run/irradiance.exr --display.dots 32 --pixel.pitch-um 84.8 --metric information"
+        " --out picture"
+    ),
+    "sfr": "sfr edge.npy --out sfr",
     "plan": "plan csf --json",
 }
 STUDY = {
@@ -103,6 +109,8 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Answer]:
     """A function that runs each command once, by its name, in one folder."""
     desk = tmp_path_factory.mktemp("desk")
     two_sheets(desk)
+    y, x = np.indices((128, 128))
+    np.save(desk / "edge.npy", (100 + 500 * (x + y / 12 > 70)).astype(np.uint16))
     text = tiny_toml(**merge(WHOLE_CHART, STUDY))
     (desk / "two_processes.toml").write_text(text, encoding="utf-8")
     answers: dict[str, Answer] = {}
@@ -195,6 +203,27 @@ def test_json_of_each_command_has_the_shared_entries(
     for optimum in content["optima"]:
         assert {"metric", "pitch_um", "value", "interval_um"} <= optimum.keys()
         assert optimum["at"] in [case["at"] for case in content["cases"]]
+
+
+def test_dry_run_foresees_film_frames_and_the_least_error_of_the_film(
+    answer: Callable[[str], Answer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the film cannot show is known before there is a picture; what its picture shows comes on
+    top. Nothing is written.
+    """
+    monkeypatch.chdir(tmp_path)
+    run, study = (
+        json.loads(command(f"{COMMANDS[name].replace(' two', f' {desk}/two')} --dry-run --json")[1])
+        for name, desk in (("run", ""), ("study", answer("study").folder.parent))
+    )
+    assert not list(tmp_path.iterdir())
+    assert run["film"]["samples"] == [128, 128]
+    assert run["sensors"][0]["pixels"] == [[256, 256]]
+    assert study["sensors"][1]["sensors"] == STUDY["repeats"]
+    score = answer("run").data
+    measured_share = score["film"]["delta_e"] / score["mean_delta_e"]
+    # 2 % between the means of two sensors
+    assert 0.02 < run["errors"]["film_share"] < 1.02 * measured_share
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -6,16 +6,22 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pytest
 from helpers.runs import run_result
 
 from pixsim.base.headline import MAX_HEADLINE_WORDS
+from pixsim.report.curve import optimum_answer
 from pixsim.report.run import run_answer, shown_mean_of
 from pixsim.sensor.spectral_range import outside_share_text
 from pixsim.show.document import plain_text
-from pixsim.studies.film_error import FilmError
+from pixsim.studies.curve import CaseLabels, CurveErrors
+from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.run import RunResult
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause, converged
 
 FILM = FilmError(
@@ -56,3 +62,43 @@ def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
         warnings = [cause.words in head for cause in result.causes] + ["not converged" in head]
         is_unsure = bool(result.causes) or not converged(result.light, result.light_limit)
         assert sum(warnings) == is_unsure, "one warning at most"
+
+
+INTERVALS_UM = [(7.35, 7.88), (None, None), (None, 7.88), (16.0, None)]
+NO_DIFFERENCES_UM = [None, (1.25, 12.74)]
+
+
+@pytest.mark.parametrize("is_inside", [True, False])
+@pytest.mark.parametrize("fit_swings", [True, False])
+def test_headlines_of_studies_are_short(is_inside: bool, fit_swings: bool) -> None:
+    """The answer and its interval, unless a range of sizes shows no difference, with one warning at
+    most.
+    """
+    value = {"value": 76.5, "value_interval": (75.2, 77.8)}
+    value |= {"mean_delta_e": 76.5, "mean_delta_e_interval": (75.2, 77.8)}
+    within: Any = {"within_1_percent_um": (None, None)}
+    for interval_um, no_difference_um, film, header, causes in product(
+        INTERVALS_UM, NO_DIFFERENCES_UM, FILMS, NOISES, NAMED
+    ):
+        best = SimpleNamespace(
+            pitch_um=7.5, inside=is_inside, interval_um=interval_um, **value, **within
+        )
+        curve: Any = SimpleNamespace(
+            label="data sheet",
+            optimum=best,
+            pitch_um=np.geomspace(0.47, 15.0, 8),
+            errors=CurveErrors(*light_error_and_limit(header, film), causes),
+            fit_swings=fit_swings,
+            no_difference_um=no_difference_um,
+            on_displays=[SimpleNamespace(dots=1024, optimum=best)],
+            judged_by_delta_e=True,
+            metrics=(DELTA_E,),
+            case=CaseLabels(),
+        )
+        head = plain_text(optimum_answer(curve).head)
+        assert len(head.split()) <= MAX_HEADLINE_WORDS, head
+        if no_difference_um is None:
+            size = "optimal pixel size 7.50 µm" if is_inside else "no optimum between 0.47 µm and"
+            assert head.startswith(f"data sheet: {size}")
+        warnings = [cause.words in head for cause in causes] + ["not converged" in head]
+        assert sum(warnings) <= 1
