@@ -95,18 +95,6 @@ def test_burst_is_the_sum_of_its_exposures(name: str) -> None:
     check_mean("difference of variances", burst_spread - total_spread, 0.0)
 
 
-def test_a_pixel_is_saturated_if_an_exposure_is() -> None:
-    readout, mean_e = PLACES["at the well"]
-    single = taken(readout, mean_e, SINGLE)
-    burst = taken(readout, mean_e)
-    assert 0.03 < single.saturated_fraction < 0.06
-    expected = 1 - (1 - single.saturated_fraction) ** COUNT
-    assert burst.saturated_fraction == pytest.approx(expected, abs=0.02)  # 5 errors of 50 000
-    for frame in (single, burst):
-        assert frame.saturated is not None
-        assert frame.saturated_fraction == frame.saturated.mean()
-
-
 QUAD = {
     "pattern": "quad_rggb",
     "binning": True,

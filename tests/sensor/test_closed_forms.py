@@ -25,7 +25,7 @@ from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.flicker import burst_modulation, clipped_light
-from pixsim.sensor.integration import first_edge_um, pixel_count, pixels_on
+from pixsim.sensor.integration import diffusion_of, first_edge_um, pixel_count, pixels_on
 from pixsim.sensor.mismatch import (
     DarkSpread,
     dark_current_of_geometry_e_per_s,
@@ -156,6 +156,22 @@ SPREADS = [
     ),
 ]
 
+
+def diffusing(kelvin: float) -> float:
+    """MTF of charge at 50 cy/mm and 850 nm."""
+    stack = {
+        "microlens": "none",
+        "height_um": 3.0,
+        "depletion_um": 1.0,
+        "diffusion_length_um": 20.0,
+    }
+    mtf = diffusion_of(
+        derive(Pixel(technology="4t-fsi", pitch_um=5.0, temperature_k=kelvin, stack=stack))
+    )
+    assert mtf is not None
+    return float(mtf(np.array([50.0]), 850.0)[0])
+
+
 ALPHA_L = 0.5 * 20.0
 SILICON = [
     Claim(
@@ -196,6 +212,15 @@ SILICON = [
         lambda: diffusion_mtf(50.0, 1e-12, 1.0, 20.0),
         (1.0 + 1 / math.hypot(0.1 * math.pi, 0.05)) / 21.0,
         rtol=1e-9,
+    ),
+    *(
+        Claim(
+            f"charge diffuses at {kelvin:g} K as silicon absorbs, whose 300 K stand for 27 °C",
+            lambda kelvin=kelvin: diffusing(kelvin),
+            float(diffusion_mtf(50.0, absorption_per_um(850.0, kelvin / 1.0005), 1.0, 20.0)),
+            rtol=1e-12,
+        )
+        for kelvin in (300.15, 330.165)
     ),
     Claim(
         "charge of a square of two pixels that does not spread",

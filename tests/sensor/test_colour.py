@@ -7,22 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.statistics import check_mean, seeded
+from helpers.statistics import seeded
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.colour_options import PATTERNS, channels_of
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import lights_of, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import RawFrame, read_frame, write_frame
-from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import capture_from_rates, frame_mean_dn, make_sensor, sample_sensor
-from pixsim.viewer.develop_options import Develop
+from pixsim.sensor.readout import make_sensor
 
 NM = np.arange(405.0, 700.0, 10.0)
 CAMERA = Camera(die_mm=0.1)
@@ -118,25 +114,6 @@ def test_crosstalk_mixes_colours_before_noise() -> None:
     np.testing.assert_allclose(cells[1], expected, rtol=3e-3)
 
 
-def test_binning_sums_charge_before_one_readout() -> None:
-    """The signal is that of four pixels; 90 000 values of independent frames have the mean of the
-    closed form within 5 standard errors, 6e-7 false alarms.
-    """
-    colour = RGB | {"pattern": "quad_rggb"}
-    single = signal(colour, pitch_um=2.5)
-    sums = single.reshape(len(single) // 2, 2, -1, 2).sum(axis=(1, 3))
-    binned = colour | {"binning": True}
-    np.testing.assert_allclose(signal(binned, pitch_um=2.5), sums, rtol=1e-12)
-    flat = {"dsnu": 0.0, "prnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0, "black_level_dn": 90}
-    readout = Readout.of(physics(binned, dark_current_e_per_s=200.0, **flat))
-    assert (readout.physics.read_pitch_um, str(readout.physics.layout)) == (8.0, "RG/GB")
-    sensor = sample_sensor(readout, (300, 300), seeded(5))
-    rates = np.full((300, 300), readout.full_well_e * 4)
-    frame = capture_from_rates(rates, sensor, Exposure(integration_s=0.1), seeded(6))
-    mean_dn = float(frame_mean_dn(0.4 * readout.full_well_e, 0.1, readout))
-    check_mean("codes", frame.dn, mean_dn)
-
-
 def test_each_channel_is_lit_by_its_own_spectrum() -> None:
     illuminations = [channel.illumination for channel in lights_of(light(), CAMERA, physics(RGB))]
     assert len({illumination.weight for illumination in illuminations}) == 3
@@ -169,23 +146,6 @@ def test_planes_that_do_not_divide_a_frame_are_no_layout(tmp_path: Path) -> None
     frame = RawFrame(np.ones((4, 2), np.uint8), layout=Layout(("RGB",), True))
     write_frame(tmp_path / "raw.npz", frame)
     assert read_frame(tmp_path / "raw.npz").layout is None
-
-
-@pytest.mark.parametrize(
-    ("colour", "develop", "words"),
-    [
-        ({"matrix": ["RG", "BG"]}, {"demosaic": "malvar2004"}, "unit cell RG, BG"),
-        ({"pattern": "quad_rggb"}, {"demosaic": "bilinear"}, "pixel.colour.binning = true"),
-        ({"pattern": "stacked"}, {"demosaic": "menon2007"}, "stacked channels"),
-        ({}, {"white_balance": [2.0, 1.0]}, "2 gains for 3 channels"),
-    ],
-)
-def test_frames_that_cannot_be_developed_are_refused(
-    colour: dict[str, Any], develop: dict[str, Any], words: str
-) -> None:
-    pixel = physics(RGB | colour).pixel
-    with pytest.raises(PixsimError, match=words):
-        pixsim.evaluate(light(), CAMERA, pixel, develop=Develop(**develop))
 
 
 HEAD = "# made up\nnm;red;green;blue\n"

@@ -11,9 +11,6 @@ import pytest
 from scipy.integrate import quad
 
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf, spread_shares
-from pixsim.sensor.integration import diffusion_of
-from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 
 # k of silicon at 295 K by C. Schinke et al., AIP Advances 5 (2015) 067168, as in
 # refractiveindex.info (CC0); 11 % at 600 nm.
@@ -104,28 +101,3 @@ def test_spread_shares_is_a_convolution_that_loses_what_leaves_the_kernel() -> N
         light = optical[:, row, column, None, None]
         whole[:, row : row + 5, column : column + 5] += light * diffused
     np.testing.assert_allclose(spread_shares(optical, diffused), whole[:, 2:7, 2:7], rtol=1e-14)
-
-
-@pytest.mark.parametrize("kelvin", [300.15, 330.165])
-def test_temperature_of_a_pixel_acts_on_its_diffusion(kelvin: float) -> None:
-    """27 °C stands for the table's 300 K."""
-    stack = {"height_um": 3.0, "microlens": "none", "depletion_um": 1.0}
-    stack |= {"diffusion_length_um": 20.0}
-    pixel = Pixel(technology="4t-fsi", pitch_um=5.0, temperature_k=kelvin, stack=stack)
-    mtf = diffusion_of(derive(pixel))
-    assert mtf is not None
-    frequency = np.array([50.0])
-    expected = diffusion_mtf(frequency, absorption_per_um(850.0, kelvin / 1.0005), 1.0, 20.0)
-    np.testing.assert_allclose(mtf(frequency, 850.0), expected, rtol=1e-12)
-
-
-def test_temperature_changes_the_key_of_charge_that_diffuses_alone() -> None:
-    def key(kelvin: float, **more: float) -> str:
-        stack = {"height_um": 3.0, "index": 1.5} | more
-        charge = derive(Pixel(pitch_um=6.0, temperature_k=kelvin, stack=stack)).charge
-        assert charge is not None
-        return charge.content_hash
-
-    diffusing = {"depletion_um": 1.0, "diffusion_length_um": 20.0}
-    assert key(300.15) == key(330.0)
-    assert key(300.15, **diffusing) != key(330.0, **diffusing)

@@ -331,24 +331,6 @@ def test_contrast_of_a_grating_behind_a_lens_is_its_otf(f_number: float) -> None
     assert contrast == pytest.approx(otf, rel=1e-6)  # float32 pictures
 
 
-def test_electrons_do_not_depend_on_the_samples_of_the_film() -> None:
-    """Measured: the sum 1.2e-6, pixels 2.8e-5 of the mean, in the outermost rows 5.6e-4, where the
-    picture's slope is cut.
-    """
-    rates = []
-    for n in (256, 1024):
-        down = cell_means(lambda x: x + 40 * np.sin(x / 100), n, DIE_UM)
-        across = cell_means(lambda x: x - 25 * np.cos(x / 60), n, DIE_UM)
-        factors = [[1e-3, 2e-3, 4e-3]], [np.outer(down, across)]
-        light = SpectralImage(NM, WIDTH_NM, DIE_UM / n, factors=factors)
-        rates.append(mean_signal_rate(light, Camera(), derive(Pixel(pitch_um=9.1))))
-    coarse, fine = rates
-    assert coarse.sum() == pytest.approx(fine.sum(), rel=1e-5)
-    inside = np.s_[3:-3, 3:-3]
-    np.testing.assert_allclose(coarse[inside], fine[inside], rtol=0, atol=1e-4 * fine.mean())
-    np.testing.assert_allclose(coarse, fine, rtol=0, atol=1e-3 * fine.mean())
-
-
 @pytest.mark.parametrize("diffraction", [True, False])
 def test_factors_of_both_signs_give_the_electrons_of_their_bands(diffraction: bool) -> None:
     """Spectra as a fit of few pulses gives them, while the light that they add up to is positive:

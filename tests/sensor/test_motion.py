@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.chains import imaging
 from helpers.tiny import tiny
 from scipy.optimize import brentq
 from scipy.special import erf
@@ -82,17 +81,6 @@ def test_contrast_of_a_wave_is_the_mean_of_two_sincs(
     ratio = contrast(moved(samples, ImageMotion(path_um)), moved(samples, NO_IMAGE_MOTION))
     expected = (np.sinc(down + across) + np.sinc(down - across)) / 2
     assert ratio == pytest.approx(expected, abs=1e-6)
-
-
-@pytest.mark.parametrize(("sign", "expected"), [(-1, 1.0), (1, np.sinc(2 * 12.0 / 40))])
-def test_fronts_along_a_slanted_path_keep_their_contrast(sign: int, expected: float) -> None:
-    """And those across it lose the most. They are broken at the borders, where they reflect."""
-    rows, columns = np.indices((300, 300))
-    slanted = 1 + 0.5 * np.cos(2 * math.pi * (rows + sign * columns) / 40)
-    inside = np.s_[20:-20, 20:-20]
-    still = moved(slanted, NO_IMAGE_MOTION)[inside]
-    pixels = moved(slanted, ImageMotion((12.0, 12.0)))[inside]
-    assert contrast(pixels, still) == pytest.approx(expected, abs=2e-4)
 
 
 @pytest.mark.parametrize(
@@ -240,17 +228,6 @@ QUAD = {
     "peak_quantum_efficiency": 0.6,
     "binning": True,
 }
-
-
-@pytest.mark.parametrize("velocity", [{"pixels_per_s": (1e4, 0.0)}, {"image_um_per_s": (4e4, 0.0)}])
-def test_pixels_per_second_are_those_of_the_sensor_before_binning(velocity: Any) -> None:
-    """Half of 40 µm, and of 0.04 µm in each line that is read, of 8 µm."""
-    pixel = Pixel(technology="4t-bsi", pitch_um=4.0, colour=QUAD)
-    rolling = Exposure(integration_s=1e-3, shutter="rolling", line_time_us=1.0)
-    settings = imaging(Camera(), pixel, rolling, motion=Motion(**velocity))
-    lines = 1e3 * Camera().height_mm / 8.0
-    expected_um = derive(pixel).border_um + 20.0 + 0.04 * lines / 2
-    assert settings.scored_border_um == pytest.approx(expected_um)
 
 
 @pytest.mark.parametrize(("margin", "count"), [({}, 1), ({"margin_um": 60.0}, 0)])

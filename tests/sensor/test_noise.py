@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,6 @@ from helpers.claims import check
 from helpers.statistics import check_mean, seeded
 
 import pixsim
-from pixsim.measure.datasheet import make_datasheet
-from pixsim.measure.experiment import SHAPE
 from pixsim.sensor.correction import residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import SOURCES, Along, NoiseSource
@@ -48,17 +45,6 @@ def deviations_e(readout: Readout, shape: tuple[int, int] = (MANY, FEW)) -> list
     frames = [read_out(light_e, 0.01, sensor, seeded(seed)) for seed in (9, 10)]
     black_dn = readout.adc.black_level_dn
     return [(frame - black_dn) / readout.dn_per_e - SIGNAL_E for frame in frames]
-
-
-@pytest.mark.parametrize("row_noise_e", [0.7, 6.0])
-def test_row_noise_is_shared_along_rows_and_new_in_each_frame(row_noise_e: float) -> None:
-    """5 standard errors of 20 000 rows: 6e-7 false alarms a gate; 4 % of a variance is outside."""
-    first, second = deviations_e(Readout.of(derive(Pixel(**SHEET, row_noise_e=row_noise_e))))
-    pixel_e2 = SIGNAL_E + 2.0**2 + 0.5**2 / 12
-    check_mean("rows", first.mean(axis=1) ** 2, row_noise_e**2 + pixel_e2 / FEW)
-    check_mean("two pixels of a row", first[:, 0] * first[:, 1], row_noise_e**2)
-    check_mean("a row in two frames", first.mean(axis=1) * second.mean(axis=1), 0.0)
-    check_mean("pixels", (first**2).mean(axis=1), row_noise_e**2 + pixel_e2)
 
 
 def test_no_row_noise_leaves_the_random_numbers_as_they_are() -> None:
@@ -128,24 +114,3 @@ def test_new_number_is_one_field_and_its_use() -> None:
     }
     assert naming == {"sensor/pixel_options.py", "sensor/noise.py"}
     assert NUMBERS["row_noise_e"].in_technology
-
-
-def test_standard_errors_of_a_data_sheet_cover_row_noise() -> None:
-    """Of 2 seeds × 5 numbers that temporal noise in the dark enters, deviations over standard
-    errors have an RMS near 1.
-
-    With 10 values the RMS of normal deviations is below 1.9 in all but 1e-5 of cases, and above
-    0.25 likewise; without row noise in them the errors would be half as large. An eighth of the
-    usual rows, on whose number no deviation depends.
-    """
-    scores = []
-    for seed in range(2):
-        pixel = Pixel(**SHEET | {"dark_current_e_per_s": 20.0, "row_noise_e": 4.0})
-        sheet = make_datasheet(pixel, shape=(SHAPE[0] // 8, SHAPE[1]), seed=seed)
-        scores += [
-            (entry.measured - entry.true) / entry.standard_error
-            for entry in sheet.entries
-            if entry.symbol in ("σ_d", "μ_I.var", "DSNU_1288.row", "σ_temp", "K")
-        ]
-    assert len(scores) == 10
-    assert 0.25 < math.sqrt(float(np.mean(np.square(scores)))) < 1.9, scores

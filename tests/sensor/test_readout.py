@@ -15,7 +15,7 @@ import pytest
 from helpers.claims import check
 from helpers.statistics import SIGMAS, check_mean, seeded
 from scipy.constants import c as light_speed, h as planck
-from scipy.stats import norm, poisson
+from scipy.stats import poisson
 
 from pixsim.base import arrays
 from pixsim.light.spectral import SpectralImage
@@ -141,34 +141,6 @@ def test_frames_at_gain_match_plain_formulas(
 
 
 # --- Fixed pattern
-
-
-def test_maps_of_a_sensor_have_the_stated_spread() -> None:
-    sensor = sensors.sample_sensor(reading(**ALL), SHAPE, seeded(3))
-    for name, values, mean, spread in (
-        ("gain", sensor.gain, 1.0, 0.02),
-        ("dark gain", sensor.dark_gain, 1.0, 0.3),
-        ("offsets", sensor.offset_e, 0.0, 160.0),
-        ("columns", sensor.column_offset_e, 0.0, 80.0),
-    ):
-        assert values is not None
-        check_mean(f"{name}: mean", values, mean)
-        check_mean(f"{name}: variance", (values - mean) ** 2, spread**2)
-    clean = sensors.sample_sensor(reading(), (4, 4), seeded(3))
-    maps = clean.gain, clean.dark_gain, clean.offset_e, clean.column_offset_e
-    assert maps == (None, None, None, None)
-
-
-def test_hot_pixels_follow_the_log_normal_tail() -> None:
-    """The share of pixels above a threshold is f times the tail of the log-normal."""
-    readout = reading(dark_current_e_per_s=100.0, **HOT)
-    dark_gain = sensors.sample_sensor(readout, SHAPE, seeded(3)).dark_gain
-    assert dark_gain is not None
-    ordinary = 1 / (1 + 0.03 * (5 * math.exp(0.4**2 / 2) - 1))
-    assert np.median(dark_gain) == pytest.approx(ordinary, rel=1e-12)
-    for times in (2.0, 5.0, 10.0):
-        share = 0.03 * norm.sf(math.log(times / 5.0) / 0.4)
-        check_mean(f"above {times:g} ordinary currents", dark_gain > times * ordinary, share)
 
 
 def test_hot_pixels_leave_all_other_random_numbers() -> None:
