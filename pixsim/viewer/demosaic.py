@@ -421,7 +421,11 @@ def _tent(size: int) -> Array:
 def _weights(cell: tuple[str, ...], method: Method) -> Array:
     """Return the weights of a linear method, (rows, columns, C, 2 ry + 1, 2 rx + 1), for a pixel at
     each place of the cell.
+
+    Raises PixsimError for menon2007, whose weights depend on the picture.
     """
+    if method == "menon2007":
+        raise invalid("method", "'menon2007'", "a linear method: bilinear, malvar2004, interpolate")
     letters = np.array([list(row) for row in cell])
     channels = channels_of(cell)
     rows, columns = letters.shape
