@@ -12,22 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.chains import imaging
-from helpers.tiny import tiny
 
 import pixsim
-from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spectrum
-from pixsim.optics.camera import Camera
-from pixsim.report.run import run_document
+from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
+from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, Spectrum
 from pixsim.report.score import exceeded_words, shown_mean
-from pixsim.report.study import study_document
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.spectral_range import OUTSIDE, outside_header, outside_share
-from pixsim.show.render import text
 from pixsim.viewer.causes import causes_of, is_uninformative
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import NOTHING, Cause, LightError
 
 NM = np.arange(405.0, 700.0, 10.0)
@@ -272,22 +265,3 @@ def test_largest_cause_comes_first() -> None:
         words = exceeded_words(LightError(0.6, noise_delta_e), LightError(0.02, 0.01))
         assert words[0].startswith(first)
         assert len(words) == 2
-
-
-def test_run_names_its_cause(tmp_path: Any) -> None:
-    pixsim.write_npz(tmp_path / "light.npz", light(CHECKS))
-    tables = {"camera": {"focal_length_mm": 4.0, "die_mm": 0.32}}
-    display = {"dots": 64, "white_cd_per_m2": 1000.0}
-    pixel = {"pitch_um": 10.0, "full_well_e": 1e9, "bits": 12}
-    result = pixsim.run(tmp_path / "light.npz", pixel=pixel, display=display, **tables)
-    (cause,) = result.as_dict()["causes"]
-    assert f"({cause['words']})" in text(run_document(result)).splitlines()[0]
-
-
-def test_study_names_its_cause(tmp_path: Any) -> None:
-    few = {"bits": 2, "black_level_dn": 0}
-    plan = tiny(pixel=few, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]})
-    result = pixsim.study(plan, tmp_path, jobs=1)
-    (cause,) = result.curves[0].errors.causes
-    assert result.as_dict()["curves"][0]["causes"] == [cause.as_dict()]
-    assert cause.words in text(study_document(result))

@@ -14,12 +14,10 @@ from helpers.closed_forms import blurred_grating_lab, grating
 from scipy.integrate import dblquad, quad
 from scipy.special import erf, gamma
 
-from pixsim import metrics, optics
-from pixsim.light.spectral import SpectralImage, d65
+from pixsim import Camera, Develop, Display, Pixel, SpectralImage, metrics, optics
+from pixsim.light.spectral import d65
 from pixsim.light.standard import illuminant
-from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.viewer import display as displays, scielab, sharpening
 from pixsim.viewer.adaptation import adaptation_matrix
@@ -33,8 +31,6 @@ from pixsim.viewer.demosaic import (
     demosaic_row_covariance,
 )
 from pixsim.viewer.denoising import anscombe, wiener
-from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
 from pixsim.viewer.screen import fraction_beyond_white
 from pixsim.viewer.tone import luminance_of, reinhard, toned

@@ -12,16 +12,12 @@ import pytest
 from helpers.chains import imaging
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
-from pixsim.sensor.exposure import Exposure
+from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.display import white_rate
-from pixsim.viewer.display_options import Display
 
 SHAPE = 4, 100_000  # most of it columns, so that their offsets average too
 TIME_S = 0.03

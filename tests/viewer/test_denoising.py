@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -14,10 +14,8 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 from scipy.fft import dctn
 from scipy.signal import fftconvolve
-from scipy.special import ndtr
 from skimage.restoration import denoise_nl_means, denoise_wavelet
 
-from pixsim import metrics
 from pixsim.viewer.denoising import anscombe, wiener
 from pixsim.viewer.denoising.filters import denoised_plane
 
@@ -224,64 +222,3 @@ def test_no_other_linear_filter_beats_the_bound() -> None:
 
 
 # --- information of a frame, which no picture of it exceeds
-
-
-def test_no_linear_step_makes_a_target_easier_to_detect() -> None:
-    """d′ of the ideal observer: equal behind a filter that can be undone, and lower behind others."""
-    shape = (12, 10)
-    target = 3 * (chart(shape) > 0.6)
-    variance = np.random.default_rng(SEED).uniform(5, 20, shape)
-    covariance = covariance_of(variance, 0.5, 0.2)
-    raw = metrics.detectability(target, variance, column_variance=0.5, row_variance=0.2)
-
-    def behind(matrix: np.ndarray) -> float:
-        difference = matrix @ target.ravel()
-        inverse = np.linalg.pinv(matrix @ covariance @ matrix.T, rcond=1e-10)
-        return math.sqrt(difference @ inverse @ difference) / raw
-
-    factors = wiener.response(wiener.signal_power(10.0 + target), wiener.noise_power(variance))
-    transform = cosines(shape)
-    whole = transform.T @ (np.maximum(factors, 1e-3).ravel()[:, None] * transform)
-    coarse = transform.T @ ((factors * (factors > 0.1)).ravel()[:, None] * transform)
-    binned = np.kron(np.eye(60), [[0.5, 0.5]])
-    assert behind(whole) == pytest.approx(1, rel=1e-6)
-    assert 0.3 < behind(coarse) < 0.999
-    assert 0.3 < behind(binned) < 0.999
-
-
-@pytest.mark.parametrize("method", [None, *NAMED, "wiener"])
-def test_no_filter_shows_an_observer_more_than_the_frame(method: str | None) -> None:
-    """Percent correct ≤ Φ(d′/√2) + 3 standard errors, of a Hotelling observer of rings.
-
-    False alarms: 1 of 700 at equality. Of 700 pairs after 300 others, and of 200 after 100 behind
-    the slow filters, an excess of 0.06 and 0.11 is found in 93 % of seeds. Without a filter the
-    observer has nearly all, so it is good enough.
-    """
-    trained, count = (100, 300) if method in NAMED else (300, 1000)
-    y, x = np.mgrid[:18, :18] - 8.5
-    radius = np.hypot(y, x).ravel()
-    edges = (0, 1.5, 2.5, 3.5, 4.5, 6, 9)
-    rings = np.array([(radius >= low) & (radius < high) for low, high in pairwise(edges)], float)
-    target_e = 2.0 * rings[:3].sum(axis=0).reshape(18, 18)
-    means_e = 50.0 + np.stack([0 * target_e, target_e])
-    pairs_e = noisy(np.broadcast_to(means_e, (count, 2, 18, 18)), 2.0, np.random.default_rng(SEED))
-    middle_e = means_e.mean(axis=0)
-    limit = float(ndtr(metrics.detectability(target_e, middle_e + 4) / math.sqrt(2)))
-
-    def picture(frame_e: np.ndarray) -> np.ndarray:
-        if method is None:
-            return frame_e
-        if method == "wiener":
-            return wiener.wiener_plane(frame_e, middle_e, middle_e + 4)
-        return denoised_plane(frame_e, 4.0, method)
-
-    pictures = np.array([[picture(frame) for frame in pair] for pair in pairs_e])
-    sums = pictures.reshape(count, 2, -1) @ rings.T
-    covariance = np.cov(sums[:trained, 0].T) + np.cov(sums[:trained, 1].T)
-    template = np.linalg.solve(covariance, (sums[:trained, 1] - sums[:trained, 0]).mean(axis=0))
-    without, with_target = np.moveaxis(sums[trained:] @ template, 1, 0)
-    correct = float((with_target > without).mean())
-    error = math.sqrt(limit * (1 - limit) / (count - trained))
-    assert 0.6 < limit < 0.97
-    assert correct <= limit + 3 * error
-    assert method is not None or correct >= limit - 4 * error

@@ -12,21 +12,17 @@ import numpy as np
 import pytest
 from helpers.chains import imaging_chain
 
-from pixsim.light.spectral import SpectralImage, colour_matching, luminous_weight
+from pixsim import Camera, Develop, Display, Exposure, Pixel, SpectralImage
+from pixsim.light.spectral import colour_matching, luminous_weight
 from pixsim.light.standard import illuminant, patch_reflectance
 from pixsim.optics import irradiance_factor
-from pixsim.optics.camera import Camera
-from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.viewer import develop as develop_module
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.develop import ColourChart
-from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import STEPS, noise_covariance
 from pixsim.viewer.display import WHITE_XYZ, rgb_to_xyz
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
 from pixsim.viewer.screen import ideal_on_dots
 
@@ -314,51 +310,6 @@ def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict
         covariances.append(np.einsum("cyx,dyx->cd", noise, noise) / noise[0].size)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(np.mean(covariances, axis=0) / scale, expected / scale, atol=0.02)
-
-
-MEASURED = {"sensitivities": "Canon_EOS_R5", "peak_quantum_efficiency": 0.6}
-METHODS: tuple[Any, ...] = ("noise_aware", "least_delta_e", "least_squares")
-
-
-def chains_of_methods(image: SpectralImage, pixel: Pixel, exposure: Exposure) -> list[ImagingChain]:
-    """Return chains of one sensor with each fit of the matrix."""
-    chain = chain_of(image, pixel, exposure=exposure, display=PIXELS)
-    return [
-        replace(chain, imaging=chain.imaging.changed(develop=Develop(matrix=method)))
-        for method in METHODS
-    ]
-
-
-def test_noise_aware_matrix_has_the_least_error_in_dim_frames() -> None:
-    """ΔE of the patches of a measured camera, below that of both other matrices.
-
-    Differences of pairs are 1.3 and 1.7 ΔE, known to 0.15 from two frames of each patch: 3 σ.
-    """
-    pixel = Pixel(**QUIET | {"colour": MEASURED, "bits": 14, "black_level_dn": 500,
-                             "read_noise_e": 5.0})  # fmt: skip
-    errors = np.zeros((3, 2, 18))
-    for number in range(18):
-        chains = chains_of_methods(patch(number), pixel, Exposure(integration_s=2e-4))
-        chart = chains[0].colour_chart
-        assert chart is not None
-        truth = xyz_to_lab(rgb_to_xyz(chart.to_display @ chart.xyz[number]), WHITE_XYZ)
-        for repeat in range(2):
-            frame = chains[0].capture("patch", number, repeat)
-            for method, chain in enumerate(chains):
-                image = lab(chain.development.light(frame))
-                error = delta_e(np.broadcast_to(truth, image.shape), image)
-                errors[method, repeat, number] = error.mean()
-    aware, *others = errors.mean(axis=(1, 2))
-    assert aware < min(others) - 0.45
-
-
-def test_noise_aware_matrix_of_much_light_is_that_of_least_delta_e() -> None:
-    """The noise of the pixel vanishes next to 10⁹ electrons of white."""
-    pixel = Pixel(**QUIET | {"colour": MEASURED, "full_well_e": 1e12, "bits": 24})
-    chains = chains_of_methods(patch(18), pixel, Exposure(integration_s=2e3))
-    aware, least, _ = (chain.development.matrix for chain in chains)
-    assert min(chains[0].whites_e_per_s) * 2e3 > 1e9
-    np.testing.assert_allclose(aware, least, atol=1e-3)
 
 
 # --- full pixels

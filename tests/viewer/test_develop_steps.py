@@ -12,22 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.chains import imaging_chain
+from helpers.claims import Claim
 from helpers.tiny import tiny
 from scipy.fft import dct
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
+from pixsim import Camera, Correction, Develop, Display, Exposure, Pixel, SpectralImage
 from pixsim.optics import irradiance_factor
-from pixsim.optics.camera import Camera
-from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.studies.files import settings_text
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.demosaic import remosaic
 from pixsim.viewer.denoising import wiener
-from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import (
     DISPLAYED,
     PLANES,
@@ -39,7 +35,6 @@ from pixsim.viewer.develop_steps import (
     noise_of_expected_e2,
     white_noise_e2,
 )
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.screen import display_image
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.sharpening import noise_gain, unsharp_mask, unsharp_response
@@ -216,38 +211,65 @@ def test_noise_of_a_dark_frame_is_known_to_the_filters() -> None:
     assert variance_e2 == pytest.approx(expected_e2, rel=0.0125)
 
 
-# --- sharpening
+# --- sharpening and tone
 
 
-@pytest.mark.parametrize(("amount", "sigma_px"), [(0.5, 0.6), (1.0, 4.0)])
-@pytest.mark.parametrize("period", [6, 40])
-def test_unsharp_mask_has_its_response_along_both_axes(
-    amount: float, sigma_px: float, period: int
-) -> None:
-    """And moves no phase."""
-    wave = np.cos(2 * np.pi * (np.arange(241) - 120) / period) * np.ones((241, 1))
-    gain = unsharp_response(1 / period, amount, sigma_px)
-    for picture in (wave, wave.T):
-        inner = unsharp_mask(picture, amount, sigma_px)[60:-60, 60:-60]
-        np.testing.assert_allclose(inner, gain * picture[60:-60, 60:-60], atol=1e-12)
+WAVES = {
+    period: np.cos(2 * np.pi * (np.arange(241) - 120) / period) * np.ones((241, 1))
+    for period in (6, 40)
+}
+WHITE_NOISE = np.random.default_rng(1).standard_normal((1000, 1000))
+COLOURS = np.random.default_rng(2).uniform(0.1, 3.0, (3, 5, 5))
+REINHARD = Develop(tone_curve="reinhard")
+CLAIMS = [
+    *(
+        Claim(
+            f"unsharp mask of waves of {period} pixels along both axes, σ = {sigma_px} px",
+            lambda wave=wave, sigma_px=sigma_px: np.stack(
+                [
+                    unsharp_mask(wave, 0.5, sigma_px)[60:-60, 60:-60],
+                    unsharp_mask(wave.T, 0.5, sigma_px).T[60:-60, 60:-60],
+                ]
+            ),
+            np.stack(2 * [unsharp_response(1 / period, 0.5, sigma_px) * wave[60:-60, 60:-60]]),
+            atol=1e-12,
+            why="rounding: no phase moves",
+        )
+        for period, wave in WAVES.items()
+        for sigma_px in (0.6, 4.0)
+    ),
+    Claim(
+        "white noise behind an unsharp mask",
+        lambda: unsharp_mask(WHITE_NOISE, 2.0, 1.5).std(),
+        noise_gain(2.0, 1.5),
+        rtol=3e-3,
+        why="3 σ of 10⁶ normal values",
+    ),
+    *(
+        Claim(
+            f"radius of s/(2πf) dots in pixels of {pitch_um} µm",
+            lambda pitch_um=pitch_um: (
+                chain_of(
+                    {"sharpen_amount": 1.0, "sharpen_radius_cy_per_deg": 2.5}, pitch_um=pitch_um
+                ).development.sharpen_px
+            ),
+            23.0 / (2 * math.pi * 2.5) * SAMPLE_UM / pitch_um,
+            rtol=1e-12,
+        )
+        for pitch_um in (2.0, 4.0)
+    ),
+    Claim(
+        "all primaries of a dot have one factor behind an operator",
+        lambda: np.ptp(toned(COLOURS, REINHARD, DISPLAY) / COLOURS, axis=0),
+        np.zeros((5, 5)),
+        atol=1e-14,
+    ),
+]
 
 
-def test_unsharp_mask_amplifies_white_noise() -> None:
-    """Of 10⁶ normal values; their correlation makes 0.3 % of the gain 3 σ."""
-    noise = np.random.default_rng(1).standard_normal((1000, 1000))
-    sharpened = unsharp_mask(noise, 2.0, 1.5)
-    assert sharpened.std() == pytest.approx(noise_gain(2.0, 1.5), rel=3e-3)
-
-
-@pytest.mark.parametrize("pitch_um", [2.0, 4.0])
-def test_radius_on_the_display_holds_for_pixels_of_any_size(pitch_um: float) -> None:
-    """At f cy/deg on s dots a degree the blur has σ = s/(2πf) dots."""
-    develop = {"sharpen_amount": 1.0, "sharpen_radius_cy_per_deg": 2.5}
-    sigma_um = chain_of(develop, pitch_um=pitch_um).development.sharpen_px * pitch_um
-    assert sigma_um == pytest.approx(23.0 / (2 * math.pi * 2.5) * SAMPLE_UM)
-
-
-# --- tone
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
 
 
 @pytest.mark.parametrize("curve", ["gamma", "srgb", "reinhard"])
@@ -267,18 +289,6 @@ def test_ideal_picture_has_the_tone_curve_and_no_sharpening(curve: Any, colour: 
     np.testing.assert_array_equal(sharp, plain)
 
 
-def test_operator_multiplies_all_primaries_by_one_factor() -> None:
-    light = np.random.default_rng(2).uniform(0.1, 3.0, (3, 5, 5))
-    ratio = toned(light, Develop(tone_curve="reinhard"), DISPLAY) / light
-    np.testing.assert_allclose(ratio, np.broadcast_to(ratio[0], ratio.shape), rtol=1e-12)
-
-
-def test_a_scene_beyond_white_does_not_clip_behind_an_operator() -> None:
-    with pytest.warns(UserWarning, match="brighter than display white"):
-        chain_of({}, picture=3.0 * detailed())
-    chain_of({"tone_curve": "reinhard"}, picture=3.0 * detailed())
-
-
 # --- quad mosaics
 
 
@@ -296,23 +306,6 @@ def test_remosaic_of_planes_is_exact_and_keeps_samples() -> None:
     same = quad_letters == letters
     np.testing.assert_array_equal(result[same], mosaic[same])
     assert np.isfinite(result).all()
-
-
-def test_remosaicing_shows_more_detail_than_interpolation_and_binning() -> None:
-    """By the error of the noiseless picture of a grey grating of eight pixels a period."""
-    x = np.arange(SIDE)
-    picture = 0.5 + 0.3 * np.sin(2 * np.pi * x / 8) * np.ones((SIDE, 1))
-    errors = []
-    for develop, binning in (
-        ({"remosaic": True, "demosaic": "malvar2004"}, False),
-        ({}, False),
-        ({}, True),
-    ):
-        chain = chain_of(develop, {"pattern": "quad_rggb", "binning": binning}, picture=picture)
-        light = np.moveaxis(chain.development.light(noiseless(chain)), 0, -1)
-        error = (light - chain.screen.ideal)[4:-4, 4:-4]
-        errors.append(np.mean(error**2))
-    assert errors[0] < min(errors[1:])
 
 
 # --- covariance
@@ -377,12 +370,6 @@ def test_noise_aware_matrix_uses_the_noise_that_linear_filters_leave() -> None:
 # --- functions of users, and studies
 
 
-def test_functions_are_settings_by_their_code() -> None:
-    first = Develop(denoise=unchanged)
-    assert first.content_hash != Develop(denoise=smooth).content_hash
-    assert Develop.model_validate(first.model_dump(mode="json")).denoise == first.denoise
-
-
 @pytest.mark.filterwarnings("ignore:.*")
 def test_function_denoises_in_the_workers_of_a_study(tmp_path: Any) -> None:
     """A function that is local here, in two processes, gives the rows of one process."""
@@ -394,16 +381,6 @@ def test_function_denoises_in_the_workers_of_a_study(tmp_path: Any) -> None:
     rows = [pixsim.study(plan, tmp_path / str(jobs), jobs=jobs).to_csv() for jobs in (1, 2)]
     assert rows[0] == rows[1]
     assert "local#" in settings_text(plan, "study")
-
-
-def test_axes_over_tone_and_sharpening_have_their_ideal_pictures(tmp_path: Any) -> None:
-    axis = [{"name": "tone", "set": "develop.tone_curve", "values": ["none", "reinhard"]}]
-    pitch = {"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}
-    plan = tiny(axis=axis, develop={"sharpen_amount": 0.5}, pitch=pitch)
-    result = pixsim.study(plan, tmp_path, jobs=1)
-    plain, reinhard = result.curves
-    assert plain.mean().min() != reinhard.mean().min()
-    assert "sharpened, tone curve reinhard" in reinhard.case.developed
 
 
 def test_tone_curve_lies_next_to_its_file(tmp_path: Any) -> None:

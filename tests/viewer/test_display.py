@@ -5,24 +5,21 @@ limits of the whole score.
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.chains import imaging, imaging_chain
+from helpers.claims import Claim
 from hypothesis import given, settings, strategies as st
 
-from pixsim.light.spectral import SpectralImage, d65
-from pixsim.optics.camera import Camera
+from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
+from pixsim.light.spectral import d65
 from pixsim.optics.diffraction import square_aperture_mtf
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame
 from pixsim.viewer import display as displays
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.evaluate import evaluate
 
 NM = np.arange(400.0, 721.0, 10)
@@ -69,6 +66,100 @@ def ideal_on_dots(
     return displays.ideal_luminance(imaging(CAMERA, Pixel(), display=display), irradiance, edges_um)
 
 
+HALF = np.random.default_rng(2).uniform(100, 1000, (64, 128))
+SQUARE = np.random.default_rng(3).uniform(100, 1000, (256, 256))
+NEAREST = Display(dots=128, interpolation="nearest")
+PIXEL_DOTS = Display(raster="one_to_one")
+HALF_UM = DIE_UM / 2, DIE_UM
+NOISE = 1000 + 50 * np.random.default_rng(4).standard_normal((256, 256))
+CLAIMS = [
+    Claim(
+        "white of the display replaces that of the scene",
+        lambda: ideal_on_dots(light(np.ones((64, 64))), Display(dots=128, white_cd_per_m2=500)),
+        np.full((128, 128), 2.0),
+        rtol=1e-6,
+        why="float32",
+    ),
+    *(
+        Claim(
+            f"pixels of a dot are unchanged, {display.raster} {display.interpolation}",
+            lambda display=display: on_dots(HALF, 5.3, display, HALF_UM),
+            HALF / 1000,
+            atol=1e-6,
+            why="the ADC rounds to 5e-7 of white",
+        )
+        for display in (NEAREST, PIXEL_DOTS, Display(raster="one_to_one", interpolation="cubic"))
+    ),
+    *(
+        Claim(
+            f"dots conserve the mean of {pixels} pixels",
+            lambda pixels=pixels: on_dots(SQUARE[:pixels, :pixels], DIE_UM / pixels).mean(),
+            SQUARE[:pixels, :pixels].mean() / 1000,
+            atol=1e-6,
+            why="the ADC rounds to 5e-7 of white",
+        )
+        for pixels in (90, 129, 256)
+    ),
+    Claim(
+        "dots of four pixels are their means",
+        lambda: on_dots(SQUARE, 2.65, NEAREST),
+        SQUARE.reshape(128, 2, 128, 2).mean(axis=(1, 3)) / 1000,
+        atol=1e-6,
+        why="the ADC rounds to 5e-7 of white",
+    ),
+    *(
+        Claim(
+            f"axes are alike, {pixels} pixels",
+            lambda pixels=pixels: (
+                on_dots(SQUARE[:pixels, :pixels].T, DIE_UM / pixels).T
+                - on_dots(SQUARE[:pixels, :pixels], DIE_UM / pixels)
+            ),
+            np.zeros((128, 128)),
+            atol=1e-13,
+        )
+        for pixels in (90, 150)
+    ),
+    *(
+        Claim(
+            f"noise of four pixels a dot, {display.interpolation}",
+            lambda display=display: on_dots(NOISE, 2.65, display).std(),
+            0.05 * weight,
+            rtol=5 / math.sqrt(2 * 128**2),
+            why="5 σ of 128² dots, 2.8 %: 6e-7 false alarms; 5 % are found in all seeds",
+        )
+        # Four equal pixels; lines between pixels weigh 1, 7, 7, 1 sixteenths an axis.
+        for display, weight in ((NEAREST, 0.5), (DISPLAY, 2 * (7**2 + 1) / 16**2))
+    ),
+    *(
+        Claim(
+            f"{dots} dots are left out for a border of {border_um:g} µm",
+            lambda border_um=border_um: np.concatenate(
+                displays.dot_edges_um(HALF_UM, 6.5, DISPLAY, border_um)
+            ),
+            5.3 * np.concatenate([np.arange(dots, 65 - dots), np.arange(dots, 129 - dots)]),
+            atol=1e-9,
+        )
+        for border_um, dots in ((0.0, 0), (1e-6, 1), (5.3 * (1 + 1e-12), 1), (5.31, 2), (15.0, 3))
+    ),
+    Claim(
+        "pixels as dots are centred and have no border",
+        lambda: np.concatenate(displays.dot_edges_um(HALF_UM, 6.5, PIXEL_DOTS, 15.0)),
+        np.concatenate(
+            [
+                (DIE_UM / 2 - 52 * 6.5) / 2 + 6.5 * np.arange(53),
+                (DIE_UM - 104 * 6.5) / 2 + 6.5 * np.arange(105),
+            ]
+        ),
+        atol=1e-9,
+    ),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
+
+
 # --- scale
 
 
@@ -91,53 +182,7 @@ def test_white_is_one(f_number: float, transmittance: float) -> None:
     np.testing.assert_allclose(ideal, 1.0, rtol=1e-6)
 
 
-def test_white_of_the_display_replaces_that_of_the_scene() -> None:
-    half = Display(dots=128, white_cd_per_m2=500)
-    np.testing.assert_allclose(ideal_on_dots(light(np.ones((64, 64))), half), 2.0, rtol=1e-6)
-
-
 # --- rasters
-
-
-@pytest.mark.parametrize(
-    ("raster", "interpolation"),
-    [("fixed_size", "nearest"), ("one_to_one", "linear"), ("one_to_one", "cubic")],
-)
-def test_pixels_of_a_dot_are_unchanged(raster: Any, interpolation: Any) -> None:
-    """To the ADC's rounding of 5e-7 of white."""
-    electrons = np.random.default_rng(2).uniform(100, 1000, (64, 128))
-    display = Display(dots=128, raster=raster, interpolation=interpolation)
-    luminance = on_dots(electrons, 5.3, display, (DIE_UM / 2, DIE_UM))
-    np.testing.assert_allclose(luminance, electrons / 1000, atol=1e-6)
-
-
-@pytest.mark.parametrize("pixels", [129, 256, 1000])
-def test_dots_conserve_the_mean(pixels: int) -> None:
-    electrons = np.random.default_rng(3).uniform(100, 1000, (pixels, pixels))
-    luminance = on_dots(electrons, DIE_UM / pixels)
-    assert luminance.shape == (128, 128)
-    assert luminance.mean() == pytest.approx(electrons.mean() / 1000, abs=1e-6)
-
-
-def test_dots_of_four_pixels_are_their_means() -> None:
-    electrons = np.random.default_rng(3).uniform(100, 1000, (256, 256))
-    nearest = DISPLAY.model_copy(update={"interpolation": "nearest"})
-    blocks = electrons.reshape(128, 2, 128, 2).mean(axis=(1, 3))
-    np.testing.assert_allclose(on_dots(electrons, 2.65, nearest), blocks / 1000, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("interpolation", "weight"), [("nearest", 0.5), ("linear", 2 * (7**2 + 1) / 16**2)]
-)
-def test_noise_falls_with_pixels_a_dot(interpolation: Any, weight: float) -> None:
-    """Four equal pixels halve it; lines between pixels weigh 1, 7, 7, 1 sixteenths an axis.
-
-    Of 16 384 dots 5 σ are 2.8 %: 6e-7 false alarms; an error of 5 % is certain to be found.
-    """
-    display = DISPLAY.model_copy(update={"interpolation": interpolation})
-    noise = 1000 + 50 * np.random.default_rng(4).standard_normal((256, 256))
-    luminance = on_dots(noise, 2.65, display)
-    assert luminance.std() == pytest.approx(0.05 * weight, rel=5 / np.sqrt(2 * 16384))
 
 
 @pytest.mark.parametrize("pitch_um", [1.7, 6.5, 15.0])
@@ -152,30 +197,6 @@ def test_pictures_keep_their_position(pitch_um: float) -> None:
     atol = 1e-6 if pitch_um > 5.3 else pitch_um / 4000
     np.testing.assert_allclose(luminance[4:-4], (500 + dots_um[4:-4]) / 1000, atol=atol)
     assert luminance.mean() == pytest.approx((500 + DIE_UM / 2) / 1000, abs=1e-6)
-
-
-@pytest.mark.parametrize("pixels", [90, 150])  # more dots than pixels, and fewer
-def test_axes_are_alike(pixels: int) -> None:
-    electrons = np.random.default_rng(9).uniform(100, 1000, (pixels, pixels))
-    upright = on_dots(electrons, DIE_UM / pixels)
-    turned = on_dots(electrons.T, DIE_UM / pixels)
-    np.testing.assert_allclose(turned, upright.T, rtol=1e-13)
-
-
-@pytest.mark.parametrize(
-    ("border_um", "dots"), [(0.0, 0), (1e-6, 1), (5.3 * (1 + 1e-12), 1), (5.31, 2), (15.0, 3)]
-)
-def test_border_is_left_out_in_whole_dots(border_um: float, dots: int) -> None:
-    rows, columns = displays.dot_edges_um((DIE_UM / 2, DIE_UM), 6.5, DISPLAY, border_um)
-    np.testing.assert_allclose(rows, 5.3 * np.arange(dots, 65 - dots), atol=1e-9)
-    np.testing.assert_allclose(columns, 5.3 * np.arange(dots, 129 - dots), atol=1e-9)
-
-
-def test_pixels_as_dots_are_centred_and_have_no_border() -> None:
-    raster = Display(raster="one_to_one")
-    rows, columns = displays.dot_edges_um((DIE_UM / 2, DIE_UM), 6.5, raster, 15.0)
-    np.testing.assert_allclose(rows, (DIE_UM / 2 - 52 * 6.5) / 2 + 6.5 * np.arange(53), atol=1e-9)
-    np.testing.assert_allclose(columns, (DIE_UM - 104 * 6.5) / 2 + 6.5 * np.arange(105), atol=1e-9)
 
 
 # --- blur of the display
@@ -342,7 +363,7 @@ class NoShotNoise(np.random.Generator):
 
 def test_perfect_pixels_converge_to_the_ideal_picture() -> None:
     """Without noise and diffraction ΔE falls with the square of the pitch: 4 times by halving it,
-    measured 3.6 to 3.9.
+    measured 3.92 and 3.96.
     """
     irradiance = light(grating(1024), diffraction=False)
     display = Display(dots=128, bits=16)
@@ -355,41 +376,7 @@ def test_perfect_pixels_converge_to_the_ideal_picture() -> None:
         frame = chain.capture_with(seed, NoShotNoise(seed.bit_generator), seed)
         mean_delta_e.append(chain.development.score(frame).mean_delta_e)
     ratios = np.divide(mean_delta_e[:-1], mean_delta_e[1:])
-    np.testing.assert_allclose(ratios, 4, atol=0.6)
-
-
-def test_one_pixel_fewer_adds_no_seam() -> None:
-    """400 or 399 pixels across the die: with 399 a strip as wide as a pixel has none.
-
-    With all dots the first column would go from 0.42 to 1.12, and the mean rise by 1.4 %.
-    """
-    camera = Camera()
-    phase = 2e-2 * np.pi * 2713.6 * (np.arange(1024) + 0.5) / 1024
-    irradiance = light(np.tile(0.5 * (1 + 0.5 * np.sin(phase)), (64, 1)), camera)
-    exposure = Exposure(max_integration_s=1000)
-    ends = []
-    for pitch_um in (6.7840, 6.7847):
-        pixel = Pixel(pitch_um=pitch_um, **PERFECT)
-        chain = imaging_chain(irradiance, camera, pixel, exposure, border_um=15.0)
-        delta_e = chain.simulate("seam").delta_e
-        ends.append([delta_e[:, 0].mean(), delta_e[:, -1].mean(), delta_e.mean()])
-    np.testing.assert_allclose(ends[1], ends[0], atol=0.02)
-
-
-def test_every_flaw_raises_delta_e() -> None:
-    """0.44 without a flaw, 0.9 to 7.3 with one."""
-    irradiance = light(grating())
-    flaws: list[dict[str, float]] = [
-        *({}, {"prnu": 0.1}, {"offset_fpn": 0.02}, {"column_fpn": 0.01}),
-        *({"bits": 4}, {"pitch_um": 21.2}, {"full_well_e": 200}),
-    ]
-    exposure = Exposure(max_integration_s=10)
-    scores = [
-        evaluate(irradiance, CAMERA, Pixel(**{"pitch_um": 5.3} | PERFECT | flaw), exposure, DISPLAY)
-        for flaw in flaws
-    ]
-    clean, *flawed = (score.mean_delta_e for score in scores)
-    assert min(flawed) > 1.5 * clean
+    np.testing.assert_allclose(ratios, 4, atol=0.2)
 
 
 def test_scores_depend_on_the_seed_only() -> None:
@@ -414,18 +401,3 @@ def test_light_on_the_border_changes_no_score() -> None:
     bright[:, :2] *= 3
     other = evaluate(light(bright), CAMERA, Pixel(pitch_um=15.0), display=DISPLAY)
     np.testing.assert_allclose(other.ideal, score.ideal, rtol=1e-12)
-
-
-@pytest.mark.parametrize("white", [1e-12, 1e15])
-def test_scores_in_extreme_light_are_finite(white: float) -> None:
-    display = Display(dots=128, white_cd_per_m2=white)
-    with warnings.catch_warnings(action="ignore"):
-        score = evaluate(light(grating(64)), CAMERA, Pixel(pitch_um=10.0), display=display)
-    assert np.isfinite(score.delta_e).all()
-
-
-def test_black_is_black() -> None:
-    pixel = Pixel(pitch_um=10.0, dark_current_e_per_s=0.0, read_noise_e=0.0)
-    score = evaluate(light(np.zeros((64, 64))), CAMERA, pixel, display=DISPLAY)
-    assert not score.frame.mean_e.any()
-    assert not score.ideal.any()

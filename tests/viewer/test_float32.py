@@ -11,12 +11,10 @@ from helpers.chains import imaging_chain, scene_of
 from helpers.tiny import lit_sensors
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
-from pixsim.studies.settings import Study
+from pixsim import Develop, Display, SpectralImage, Study
 from pixsim.viewer import scielab
-from pixsim.viewer.develop_options import DEVELOP, Develop
+from pixsim.viewer.develop_options import DEVELOP
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, out_of_gamut_share, rgb_to_xyz
-from pixsim.viewer.display_options import Display
 
 VIEW = {"white_xyz": WHITE_XYZ, "samples_per_deg": 23.0}
 SIDE = 127  # a prime number, which the transforms find hardest

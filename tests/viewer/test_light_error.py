@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.runs import run_result
-from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.digits import with_error
-from pixsim.report.curve import optimum_line
 from pixsim.report.run import shown_mean_of
-from pixsim.report.study_facts import study_light_words, study_unconverged
 from pixsim.report.wording import unconverged
 from pixsim.studies.film_error import FilmError
 from pixsim.viewer.score import LightError, converged, exceeded, noise_error_and_limit
@@ -100,24 +97,6 @@ def test_score_of_a_picture_says_whether_its_light_has_converged(
     display = pixsim.Display(white_cd_per_m2=1000, dots=32)
     score = pixsim.evaluate(image, pixsim.Camera(), pixel, display=display)
     assert ("not converged" not in repr(score)) == is_converged
-
-
-def test_study_states_its_light_and_the_error_at_its_best_size(tmp_path: Any) -> None:
-    """The film's error is interpolated in log pitch: 0.4 in the middle of 0.6 and 0.2."""
-    plan = tiny(pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]})
-    result = pixsim.study(plan, tmp_path, jobs=1)
-    (line,) = study_light_words(result)
-    assert f"a field of {result.camera.fov_deg:.3g}°" in line
-    curve = result.curves[0]
-    best_um = float(curve.pitch_um[np.argmin(curve.mean())])
-    header = result.irradiance.header | {"render_noise": QUIET}
-    quiet = result.irradiance.with_planes(result.irradiance.planes, header=header)
-    for film, words in ((COARSE, "± 0.4 (film), not converged"), (FINE, "")):
-        film = replace(film, pitch_um=(best_um / 4, best_um * 4), limit="set by --resolution")
-        light = replace(result.light, image=quiet, film=film)
-        study = replace(result, light=light, curves=(curve,))
-        assert bool(study_unconverged(study)) == bool(words)
-        assert words in optimum_line(study.curves[0])
 
 
 @pytest.mark.parametrize(

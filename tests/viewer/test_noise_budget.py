@@ -10,26 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.chains import imaging_chain
-from helpers.tiny import tiny
 
-import pixsim
-from pixsim.light.spectral import SpectralImage, colour_matching, d65, luminous_weight
+from pixsim import Camera, Develop, Display, Exposure, Motion, Pixel, SpectralImage
+from pixsim.light.spectral import colour_matching, d65, luminous_weight
 from pixsim.optics import irradiance_factor
-from pixsim.optics.camera import Camera
-from pixsim.report.noise_budget import budget_columns
 from pixsim.sensor import noise
 from pixsim.sensor.collection import Collection, ColourCollection
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.motion_options import Motion
-from pixsim.sensor.noise import SOURCES, NoiseSource, without_source
+from pixsim.sensor.noise import SOURCES, NoiseSource
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import frame_variance_dn2, sample_sensor
-from pixsim.studies.merit import noise_budgets
-from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display_options import Display
+from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.viewer.every_pixel import neighbours
 from pixsim.viewer.noise_budget import (
     APERTURE,
@@ -186,28 +177,6 @@ def test_flicker_is_the_first_cause() -> None:
     assert budget.delta_e == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.name)
-def test_source_that_is_off_is_drawn_no_more(source: NoiseSource) -> None:
-    """And its variance is off the closed form."""
-    readout = Readout.of(derive(Pixel(**ALL, hot_pixel_fraction=0.01, hot_pixel_median=30.0)))
-    without = without_source(readout, source.name)
-    whole_e2, left_e2 = (
-        float(frame_variance_dn2(5000.0, TIME_S, p)) / p.dn_per_e**2 for p in (readout, without)
-    )
-    charge_e = {"": 1.0, "light": 5000.0, "dark": 180.0}[source.grows_with]
-    expected_e2 = (source.deviation(readout) * charge_e) ** 2
-    assert whole_e2 - left_e2 == pytest.approx(expected_e2, rel=1e-9, abs=1e-9)
-    sensor = sample_sensor(without, (8, 8), np.random.default_rng(0))
-    maps = {
-        "PRNU": sensor.gain,
-        "DSNU": sensor.dark_gain,
-        "column FPN": sensor.column_offset_e,
-        "offset FPN": sensor.offset_e,
-    }
-    for name, pattern in maps.items():
-        assert (pattern is None) == (name == source.name)
-
-
 def test_new_source_has_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
     new = NoiseSource("a new source", lambda _: 30.0, is_temporal=True)
     monkeypatch.setattr(noise, "SOURCES", (*SOURCES, new))
@@ -224,23 +193,6 @@ def test_finer_adc_has_the_same_range() -> None:
     black_e = [adc.adc.black_level_dn / adc.dn_per_e for adc in (finer, readout)]
     assert black_e[0] == pytest.approx(black_e[1], rel=1e-12)
     assert finer_adc(replace(readout, adc=replace(readout.adc, bits=24))).adc.bits == 31
-
-
-def test_study_has_the_budget_of_each_best_size(tmp_path: Any) -> None:
-    """Of the first repeat; a study is in float32."""
-    pitch = {"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}
-    result = pixsim.study(tiny(noise_budget=True, pitch=pitch), tmp_path, jobs=1)
-    ((label, budget),) = noise_budgets(result).items()
-    curve = result.curves[0]
-    best_um = float(curve.pitch_um[np.argmin(curve.mean())])
-    assert label == f"{curve.technology}, {best_um:.3g} µm"
-    (score,) = result.scores(curve.technology, best_um, 1)
-    assert budget.mean_delta_e == pytest.approx(score.mean_delta_e, rel=1e-5)
-    columns = budget_columns({label: budget})
-    for part, delta_e in budget.parts.items():
-        rows = zip(columns["delta_e"], columns["part"], strict=True)
-        total = sum(value for value, name in rows if name == part)
-        assert total == pytest.approx(delta_e, abs=1e-12)
 
 
 # --- parts of colour

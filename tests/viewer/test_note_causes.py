@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim import Camera, Display, Exposure, Pixel
+from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
 from pixsim.base.note_kinds import NOTES
 from pixsim.base.notes import collected_notes
-from pixsim.light.spectral import SpectralImage
 
 NM = np.arange(405.0, 1000.0, 10.0)
 CAMERA = Camera(die_mm=0.32)

@@ -11,21 +11,14 @@ import pytest
 from helpers.chains import imaging, imaging_chain
 
 import pixsim
-from pixsim import metrics
-from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
+from pixsim import Camera, Develop, Display, Exposure, Pixel, PixsimError, SpectralImage, metrics
 from pixsim.sensor.camera_data import camera_sensitivities
-from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer import display as displays, scielab
 from pixsim.viewer.adaptation import adaptation_matrix
 from pixsim.viewer.colour_matrix import chart_xyz, check_noise_gains, colour_matrix
-from pixsim.viewer.demosaic import demosaic, remosaic
+from pixsim.viewer.demosaic import demosaic, demosaic_covariance, remosaic
 from pixsim.viewer.denoising import filters, wiener
 from pixsim.viewer.denoising.filters import denoised_plane
-from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.screen import check_one_ideal, white_header
 from pixsim.viewer.settings_file import run_settings
@@ -225,6 +218,10 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "sums that overflow": (lambda: demosaic(np.full((4, 4), -1e301), "rggb"), "too large"),
     "remosaic of a Bayer pattern": (lambda: remosaic(np.ones((8, 8)), "rggb"), "2 × 2 equal"),
+    "covariance of a method that is not linear": (
+        lambda: demosaic_covariance("rggb", "menon2007", np.ones(3)),
+        "method: got 'menon2007'; allowed: a linear method",
+    ),
     # --- denoising
     "plane below a patch": (lambda: denoised_plane(PLANE[:16], 1.0, "nlm"), "allowed: 17 pixels"),
     "plane below a wavelet": (lambda: denoised_plane(PLANE[:7], 1.0, "wavelet"), "allowed: 8"),

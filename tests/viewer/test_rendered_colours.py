@@ -11,14 +11,13 @@ import pytest
 from helpers import lights
 
 import pixsim
+from pixsim import Develop, Display
 from pixsim.light.spectral import colour_matching, photons_per_joule
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant, patch_reflectance
 from pixsim.optics.camera_light import camera_factor
 from pixsim.sensor.pixel import derive
 from pixsim.viewer.colour_matrix import colour_errors, fit_matrix, metamerism_index
 from pixsim.viewer.develop import measure_colour_chart, xyz_weights
-from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
 
 DATA = Path(__file__).parents[1] / "data" / "colour"

@@ -12,16 +12,13 @@ from helpers.chains import imaging
 from hypothesis import given, settings, strategies as st
 
 import pixsim
+from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
 from pixsim.base import arrays
-from pixsim.light.spectral import SpectralImage, d65
-from pixsim.optics.camera import Camera
+from pixsim.light.spectral import d65
 from pixsim.scene.charts import csf_value
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate, ideal_rate, integrate_pixels
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer import display as displays, evaluate as evaluating
 from pixsim.viewer.delta_e_statistics import percentiles
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes, SceneCache, SceneLight, prepare_scene
 from pixsim.viewer.scielab import delta_e, filtered_lab
@@ -196,13 +193,3 @@ def test_memory_of_a_large_film_is_bounded(monkeypatch: pytest.MonkeyPatch) -> N
     peaks = {name: peak_planes(work, count**2) for name, (work, _) in works.items()}
     too_large = {name: peak for name, peak in peaks.items() if peak > works[name][1]}
     assert not too_large, peaks
-
-
-def test_memory_of_many_bands_is_two_planes() -> None:
-    """And tables of 32768 frequencies, and strips of an eighth of this plane."""
-    data = np.ones((512, 512, 7), np.float32)
-    image = SpectralImage(NM[:7], 10.0, 2.65, data=data)
-    physics = imaging(CAMERA, Pixel()).physics
-    diffracted_rate(image, CAMERA, physics)  # fills the caches
-    peak = peak_planes(lambda: diffracted_rate(image, CAMERA, physics), 512**2)
-    assert 2.0 < peak < 3.0

@@ -13,13 +13,10 @@ import pytest
 from helpers.chains import imaging
 
 import pixsim
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, SpectralImage
+from pixsim import Camera, Display, Pixel, SpectralImage
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W
 from pixsim.optics import irradiance_factor
-from pixsim.optics.camera import Camera
-from pixsim.scene.packaged import packaged_scenes
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.display import XYZ_FROM_RGB
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.screen import (
     LightLevel,
     colour_chart_of,
@@ -174,14 +171,3 @@ def test_white_of_infrared_light_is_a_radiance() -> None:
     ]
     assert scores[0].mean_delta_e == scores[1].mean_delta_e
     np.testing.assert_array_equal(scores[2].ideal, scores[0].ideal)
-
-
-@pytest.mark.parametrize("lamp", ["led_850nm", "led_940nm"])
-def test_packaged_infrared_lamps_shine_where_they_say(lamp: str) -> None:
-    """A width of 25 to 45 nm at half of the maximum, and 5 W in all."""
-    table = np.loadtxt(packaged_scenes()["csf"].parent / f"spectra/{lamp}.spd")
-    nm, power = table.T
-    above = nm[power >= power.max() / 2]
-    assert nm[power.argmax()] == float(lamp[4:7])
-    assert 25 <= np.ptp(above) <= 45
-    assert np.trapezoid(power, nm) == pytest.approx(5.0, rel=1e-3)
