@@ -112,17 +112,6 @@ def test_dark_frames_remove_a_clipped_dark_level() -> None:
     check_mean("dark", corrected_e(sensor, 0.0, Correction(dark_frames=4)), 0.0)
 
 
-def test_flat_frames_keep_the_mean_and_the_scene() -> None:
-    """The mean response is 1, so that a picture's mean is its light; a gradient stays one."""
-    sensor = sensor_of()
-    ramp = np.linspace(2000.0, 12000.0, SHAPE[1])
-    correction = Correction(dark_frames=16, flat_frames=16)
-    columns = corrected_e(sensor, ramp, correction).mean(axis=0)
-    variance = residual_variance_e2(12000.0, TIME_S, sensor.readout, correction).total
-    tolerance = 5 * np.sqrt(variance / SHAPE[0]) + 2e-3 * 12000  # and the mean of 50 000 gains
-    check("columns", columns, ramp, atol=tolerance, why="5 standard errors of 200 rows")
-
-
 def test_dark_rows_do_not_change_the_noise_of_other_frames() -> None:
     """With rows that have no noise the results are equal."""
     quiet = sensor_of((20, 30), **CLEAN | {"prnu": 0.02, "black_level_dn": 100})

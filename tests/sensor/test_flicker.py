@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.chains import imaging_chain
 from helpers.statistics import check_mean
 from scipy.integrate import quad
 
@@ -19,8 +18,6 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
-from pixsim.viewer.display_options import Display
-from pixsim.viewer.noise_budget import FLICKER, noise_budget
 
 ROWS, HZ, DEPTH = 400, 100.0, 0.6
 LAMP: dict[str, Any] = {"flicker_hz": HZ, "flicker_depth": DEPTH}
@@ -128,16 +125,3 @@ def test_light_that_moves_flickers_too() -> None:
     )
     expected = steady.mean_e * (1 + DEPTH * np.sinc(0.4))
     np.testing.assert_allclose(flickering.mean_e, expected, rtol=1e-6)
-
-
-def test_budget_has_a_line_for_flicker() -> None:
-    lamp = Exposure(integration_s=0.004, flicker_phase_deg=180.0, **LAMP)
-    display = Display(white_cd_per_m2=100.0, dots=100)
-    budget, steady = (
-        noise_budget(imaging_chain(picture(), SMALL, PIXEL, light, display), picture(), "budget")
-        for light in (lamp, lamp.steady)
-    )
-    difference = budget.mean_delta_e - steady.mean_delta_e
-    assert budget.delta_e.pop(FLICKER) == pytest.approx(difference, abs=1e-9)
-    assert difference > steady.mean_delta_e
-    assert (budget.delta_e, budget.electrons_e) == (steady.delta_e, steady.electrons_e)

@@ -11,18 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.tiny import tiny
-from scipy.optimize import brentq
 from scipy.special import erf
 
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.optics.diffraction import diffraction_otf, square_aperture_mtf
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import MovingPicture, integrate_pixels
 from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum
 from pixsim.sensor.motion_options import NO_MOTION, Motion
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, make_sensor
 from pixsim.studies.prepare import prepare
@@ -197,29 +194,6 @@ def test_no_motion_is_equal_to_the_bit(motion: Motion) -> None:
     )
     np.testing.assert_array_equal(still.frame.dn, plain.frame.dn)
     np.testing.assert_array_equal(still.delta_e, plain.delta_e)
-
-
-def test_mtf50_is_that_of_the_path() -> None:
-    """Of a path of 40 pixels, 0.1 mm, it is where its sinc, with what lens and pixel take, is one
-    half.
-    """
-    score = evaluate(
-        soft_edge(0.0, 1),
-        CAMERA,
-        PIXEL,
-        FAST,
-        DISPLAY,
-        motion=Motion(pixels_per_s=(4e4, 0.0)),
-        metrics=("mtf50",),
-    )
-    side_um = derive(PIXEL).photodiode_side_um
-
-    def excess(frequency: float) -> float:
-        lens = diffraction_otf(frequency, 550.0, CAMERA.effective_f_number)
-        pixel = square_aperture_mtf(frequency, side_um)
-        return float(lens * pixel * np.sinc(0.1 * frequency)) - 0.5
-
-    assert score.metrics["mtf50"] == pytest.approx(brentq(excess, 1.0, 9.0), rel=1e-3)
 
 
 QUAD = {

@@ -72,31 +72,6 @@ def test_glare_chart_returns_the_share_of_the_lens() -> None:
     assert ratio / (1 - SHARE + SHARE * ratio) == pytest.approx(0.02, rel=1e-6)
 
 
-def test_hole_with_fall_off_has_the_mean_of_the_light_by_quadrature() -> None:
-    """Foote's fall-off integrated over the die without the hole, by Gauss and Legendre; cells are
-    means of 8 × 8 points.
-    """
-    lens = {"die_mm": 0.96, "focal_length_mm": 0.8, "f_number": 2.0}
-    camera = Camera(**lens, veiling_glare=0.05)
-    node, weight = np.polynomial.legendre.leggauss(40)
-
-    def relative(radius: Any) -> np.ndarray:
-        illuminance = irradiance_factor(camera.f_number, radius, camera.magnification)
-        return illuminance / irradiance_factor(camera.f_number, 0.0, camera.magnification)
-
-    def total(half_mm: float) -> float:
-        radius = half_mm * np.hypot(node, node[:, None]) / camera.image_distance_mm
-        return half_mm**2 * float(weight @ relative(radius) @ weight)
-
-    mean = (total(0.48) - total(0.16)) / 0.96**2
-    assert mean < 0.8 * (1 - SHARE)
-    fine = camera_factor(camera, (8 * SIDE, 8 * SIDE), SAMPLE_UM / 8)
-    on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
-    image = hole(white=fine.reshape(SIDE, 8, SIDE, 8).mean(axis=(1, 3)) / on_axis)
-    white = rate(image, Camera(**lens)).max() / image.data.max()
-    assert rate(image, camera)[48, 48] / white == pytest.approx(0.05 * mean, rel=1e-5)
-
-
 def test_each_band_has_its_own_share(tmp_path: Path) -> None:
     """Of a table, which goes on beyond its ends, each band by itself; in photons of 1, 2 and 3
     units of energy.
