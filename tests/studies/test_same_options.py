@@ -8,7 +8,7 @@ import inspect
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ LIGHT = SpectralImage(
     [450.0, 550.0, 620.0],
     30.0,
     10.0,
-    data=1e-3 * (1 + np.random.default_rng(1).random((64, 64, 3))).astype(np.float32),
+    data=1e-3 * (1 + np.random.default_rng(1).random((40, 40, 3))).astype(np.float32),
     header={"diffraction": False, "luminance_cd_per_m2": 3000.0},
 )
 # Arguments of `study`, each with another value than its default; beside the fields of its settings.
@@ -39,7 +39,7 @@ ARGUMENTS: dict[str, Any] = {
     "agreed": True, "uncertainty": 8, "sobol": 8, "smaller_than_um": (3.0,), "metrics": ("delta_e", "acutance"), "light": LIGHT,
     "without": LIGHT,
 }  # fmt: skip
-STUDY_ONLY_WHERE = {
+NO_NUMBERS = {
     "jobs",
     "scheduler",
     "progress",
@@ -48,7 +48,7 @@ STUDY_ONLY_WHERE = {
 }  # they decide how and where, and change no number
 VALUES = {name: value for name, (value, _) in CHANGES.items()} | ARGUMENTS
 # In light that is given, axes and conditions vary the sensor and what follows it.
-OF_SWEEP: dict[str, Any] = {
+SWEEP_VALUES: dict[str, Any] = {
     "axis": ({"name": "time", "set": "exposure.integration_s", "values": (1e-4, 1e-3)},),
     "condition": ({"name": "dusk", "set": {"exposure": {"integration_s": 1e-4}}},),
 }
@@ -90,25 +90,11 @@ def test_options_of_the_command_line_are_those_of_a_study() -> None:
     assert study <= compare
 
 
-@contextmanager
-def said() -> Iterator[list[str]]:
-    """The messages of a block."""
-    texts: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        yield texts
-    texts += [str(warning.message) for warning in caught]
-
-
-def made_by_compare(options: dict[str, Any], folder: Path) -> object:
+def made_by_compare(options: dict[str, Any]) -> object:
     """What a comparison would make: its cases."""
-    unsure = (
-        "[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n"
-        if options.keys() & {"uncertainty", "sobol"}
-        else ""
+    job = pixsim.compare(
+        ["a.toml", "b.toml"], **{"resolution": 48, "display": {"dots": 48}} | options
     )
-    files = [sheet(folder / "a.toml", more=unsure), sheet(folder / "b.toml", 12.0)]
-    job = pixsim.compare(files, **{"resolution": 48, "display": {"dots": 48}} | options)
     cases = [
         (case.settings, case.camera, case.imaging, case.sizes, case.labels, case.header)
         for case in job.cases
@@ -116,57 +102,67 @@ def made_by_compare(options: dict[str, Any], folder: Path) -> object:
     return repr((cases, job.types, job.study and (job.study.name, job.study.detail)))
 
 
-def made_by_sweep(options: dict[str, Any], folder: Path) -> object:
+def made_by_sweep(options: dict[str, Any]) -> object:
     """What a sweep makes: its rows."""
     pixels = {"a": Pixel(pitch_um=10.0), "b": Pixel(technology="4t-bsi", pitch_um=10.0)}
-    return repr(list(pixsim.sweep(LIGHT, pixels, **{"display": {"dots": 48}} | options)))
+    return repr(list(pixsim.sweep(LIGHT, pixels, **{"display": {"dots": 24}} | options)))
 
 
 MADE = {"compare": made_by_compare, "sweep": made_by_sweep}
+# Settings that have an effect only beside others.
+BESIDE: dict[str, dict[str, Any]] = {
+    "without": {"metrics": ("delta_e", "detectability")},
+    "metric": {"metrics": ("delta_e", "information")},
+}
+
+
+@contextmanager
+def local_workers(jobs: int | None, scheduler: object) -> Iterator[Workers]:
+    yield Workers()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A folder with two sensors of uncertain read noise; comparisons only prepare."""
+    folder = tmp_path_factory.mktemp("desk")
+    unsure = "[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n"
+    sheet(folder / "a.toml", more=unsure)
+    sheet(folder / "b.toml", 12.0)
+    (folder / "sensor.toml").write_text("[exposure]\nwell_target = 0.5\n", encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(compare_module, "run_prepared", lambda job, **_: job)
+        patch.setattr(sweep_module, "workers_for", local_workers)
+        yield
+
+
+@cache
+def made_without(command: str, name: str) -> object:
+    # Without the light and its metric, there is no detectability.
+    return MADE[command](BESIDE.get(name, {}) if name != "without" else {})
 
 
 @pytest.mark.parametrize("name", VALUES)
 @pytest.mark.parametrize("command", MADE)
-def test_option_of_a_study_acts_is_named_or_is_refused(
-    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(compare_module, "run_prepared", lambda job, **_: job)
-    asked: list[object] = []
-
-    @contextmanager
-    def workers_for(jobs: int | None, scheduler: object) -> Iterator[Workers]:
-        asked.append((jobs, scheduler))
-        yield Workers()
-
-    monkeypatch.setattr(sweep_module, "workers_for", workers_for)
-    (tmp_path / "sensor.toml").write_text("[exposure]\nwell_target = 0.5\n", encoding="utf-8")
-    make, value = MADE[command], (VALUES | OF_SWEEP if command == "sweep" else VALUES)[name]
-    if command == "sweep" and name == "light":
+def test_option_of_a_study_acts_is_named_or_is_refused(command: str, name: str) -> None:
+    if (command, name) == ("sweep", "light"):
         return  # its first argument
+    value = (VALUES | SWEEP_VALUES if command == "sweep" else VALUES)[name]
     if name in REFUSED[command]:
-        with pytest.raises(PixsimError, match=rf"^{name}: got a value .*; allowed: ") as error:
-            make({name: value}, tmp_path)
-        assert str(error.value).count("\n") == 0
+        with pytest.raises(PixsimError, match=rf"^{name}: got a value .*; allowed: "):
+            MADE[command]({name: value})
         return
 
-    beside = (
-        {"metrics": ["delta_e", "detectability"]}
-        if command == "sweep" and name == "without"
-        else {}
-    )
-    beside |= {"metrics": ["delta_e", "information"]} if name == "metric" else {}
-    before = make(beside | ({"metrics": ["delta_e"]} if name == "without" else {}), tmp_path)
-    with said() as texts:
-        after = make(beside | {name: value}, tmp_path)
+    before = made_without(command, name if name in BESIDE else "")
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        after = MADE[command](BESIDE.get(name, {}) | {name: value})
+    texts = [str(warning.message) for warning in caught]
     is_named = any("nothing here" in text and name in text for text in texts)
-    if name in STUDY_ONLY_WHERE:
+    if name in NO_NUMBERS:
         assert (before == after, is_named) == (True, False)
-    else:
-        assert before != after or is_named, texts
-        assert command == "compare" or before == after or not is_named, (
-            "a row differs by what is said to change nothing"
-        )
+        return
+    assert before != after or is_named, texts
+    assert command == "compare" or before == after or not is_named, "a row differs nevertheless"
 
 
 def test_refusals_stand_in_one_table() -> None:
