@@ -298,8 +298,9 @@ FLICKER = [
         lambda: [
             burst_modulation(Exposure(**LAMP), 0.008),
             burst_modulation(Exposure(frames=4, **LAMP).steady, 0.008),
+            burst_modulation(Exposure(frames=4).steady, 0.008),
         ],
-        [0.0, 0.0],
+        [0.0, 0.0, 0.0],
     ),
 ]
 

@@ -31,13 +31,16 @@ from pixsim.sensor.collection import (
     kernel_on_axis,
     min_fresnel_number,
     scale_error,
+    shading_of,
     stack_shares,
 )
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import (
     collecting_area_um2,
+    electrons_per_joule,
     illumination_of,
     mean_signal_rate,
     pixels_on,
@@ -337,6 +340,12 @@ EFFICIENCIES = [
         why="the oblique pupil",
     ),
     Claim(
+        "a black picture counts as one of equal light in all bands",
+        lambda: illumination_of(picture(0.0), CAMERA, PLAIN).weight,
+        electrons_per_joule(PLAIN, UNIFORM),
+        rtol=1e-12,
+    ),
+    Claim(
         "without a stack a pixel collects on its photodiode",
         lambda: collecting_area_um2(UNIFORM, CAMERA, physics()),
         physics().photodiode_area_um2,
@@ -497,7 +506,9 @@ def test_white_of_a_colour_sensor_is_what_its_channels_collect_of_uniform_light(
     relative = white.relative((8 * layout.planes, 12))
     middle = relative[relative.shape[0] // 2, 6]
     assert middle == pytest.approx(1.0, abs=0.02)
-    assert not white.is_scale
+    shading = shading_of(white, relative.shape, Correction())
+    np.testing.assert_array_equal(shading, relative)
+    assert shading_of(white, relative.shape, Correction(flat_frames=1)) is None
 
 
 def test_stack_of_a_pixel_goes_before_that_of_the_technology() -> None:

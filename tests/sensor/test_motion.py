@@ -19,7 +19,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import MovingPicture, integrate_pixels
 from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum
-from pixsim.sensor.motion_options import NO_MOTION, Motion
+from pixsim.sensor.motion_options import NO_MOTION, Motion, motion_text
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, make_sensor
 from pixsim.studies.prepare import prepare
@@ -202,6 +202,19 @@ QUAD = {
     "peak_quantum_efficiency": 0.6,
     "binning": True,
 }
+
+
+@pytest.mark.parametrize(
+    ("velocity", "text"),
+    [
+        ({"velocity_mm_per_s": (2e3, 0.0)}, "2000, 0 mm/s"),
+        ({"image_um_per_s": (4.0, -1.0)}, "4, -1 µm/s"),
+        ({"pixels_per_s": (0.0, 3.0)}, "0, 3 pixels/s"),
+        ({"pixels_per_s": (0.0, 0.0)}, ""),
+    ],
+)
+def test_what_moves_is_told_in_its_unit(velocity: dict[str, Any], text: str) -> None:
+    assert motion_text(Motion(**velocity)).partition(" by ")[2] == text
 
 
 @pytest.mark.parametrize(("margin", "count"), [({}, 1), ({"margin_um": 60.0}, 0)])

@@ -104,6 +104,8 @@ def test_light_outside_the_computed_range_widens_it_or_is_noted() -> None:
     header = outside_header([lamp])
     expected = 1 - (830**2 - 360**2) / (1110**2 - 300**2)
     assert outside_share(header, pixel(0.5)) == pytest.approx(expected, rel=1e-3)
+    widest = outside_share(outside_header([lamp], WIDEST), pixel(0.5))
+    assert widest == pytest.approx((1110**2 - 1100**2) / (1110**2 - 300**2), rel=1e-3)
     assert outside_share({OUTSIDE: "lamps"}, pixel(0.5)) == 0
 
 
