@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.claims import Claim
+from helpers.film_pictures import light
 from scipy import stats
 
+from pixsim.base.arrays import MEASURED
 from pixsim.report.axes import regrets_columns
 from pixsim.report.regret import condition_regrets_data, regrets_data, regrets_plate
 from pixsim.studies.curve import CaseLabels, Curve, first_metric_and_ci95
-from pixsim.studies.film_error import FilmError, film_error
+from pixsim.studies.film_error import FilmError, FilmSteps, film_error, measured_regions, reflected
 from pixsim.studies.optimum import fit_curve, fit_of_metric, fittable_pitches
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.regret import (
@@ -26,6 +28,7 @@ from pixsim.studies.regret import (
     weighted_mean,
 )
 from pixsim.studies.settings import Axis, Study
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
@@ -119,6 +122,19 @@ def predicted(before: float | None, error: float = 0.4) -> tuple[float, ...]:
     if before is not None:
         coarse = FilmError((256, 256), 2.0, (5.0,), (before,), (0.01,))
     return fine.predicted_on(1024, coarse)
+
+
+def steps(delta_e: Any, finer: Any = ([0.0],) * 3, blur_error: float = 0.0) -> FilmSteps:
+    """Return mean ΔE in parts of a picture on a film, on two coarser and on finer ones."""
+    return FilmSteps(np.array(delta_e), np.array(finer), np.inf, blur_error)
+
+
+def measured_cells() -> int:
+    """Return the cells that are measured of a picture of 16 times as many as are measured at most."""
+    across = 4 * int(np.sqrt(MEASURED))
+    image = light(np.broadcast_to(np.float32(0.5), (across, across)))
+    regions = measured_regions(image, 5.0, Display(dots=512))
+    return sum((rows.stop - rows.start) * (side.stop - side.start) for rows, side in regions)
 
 
 def points(table: dict[str, Any]) -> list[float]:
@@ -264,6 +280,38 @@ CLAIMS = [
         lambda: film_error(0.01, 0.0, 0.0, 0.5, is_chart=True),
         0.002,
         rtol=1e-12,
+    ),
+    Claim(
+        "the error of a film grows with that of the blur of a real lens",
+        lambda: steps([[2.0], [2.1], [2.4]], blur_error=0.004).error(),
+        [2.0, 0.2 * 0.1 + 1.5 * 0.004 * 2.0],
+        rtol=1e-9,
+    ),
+    Claim(
+        "the error of a difference is that of the differences",
+        lambda: steps([[2.0], [2.1], [2.4]], blur_error=0.004).error_of_difference(
+            steps([[3.0], [3.2], [3.6]])
+        ),
+        0.2 * 0.1 + 1.5 * 0.004 * 1.0,
+        rtol=1e-9,
+    ),
+    Claim(
+        "changes on finer films count with three standard errors of their mean over parts",
+        lambda: steps([[1.0] * 2] * 3, [[1.0, 1.0], [1.1, 1.3], [1.0, 1.0]]).error(),
+        [1.0, 2.5 * (0.2 + 3 * 0.1)],
+        rtol=1e-9,
+    ),
+    Claim(
+        "light goes on as in a mirror beyond what there is",
+        lambda: reflected(slice(0, 2), 2, -1, 3),
+        [-1, -1, 0, 1, 2, 2],
+    ),
+    Claim(
+        "of a large picture as many cells are measured as memory holds",
+        measured_cells,
+        MEASURED,
+        rtol=0.02,
+        why="parts are whole blocks of four cells",
     ),
     Claim("one film: second order", lambda: predicted(None), [0.1], rtol=1e-12),
     Claim("two films: the order between them", lambda: predicted(1.2), [0.4 / 3], rtol=1e-12),

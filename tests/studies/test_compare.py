@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 
 import pixsim
 from pixsim.optics.camera import Camera
-from pixsim.optics.camera_lens import traced_lens
+from pixsim.optics.camera_lens import Tiling, traced_lens
 from pixsim.report.compare import numbers
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
@@ -131,11 +131,15 @@ def test_border_is_that_of_what_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*glasses of")
-def test_sensors_of_one_field_have_one_lens_scaled_to_their_dies(tmp_path: Path) -> None:
+def test_sensors_of_one_field_have_one_lens_scaled_to_their_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiling = Tiling(640.0, 100.0, 0.005)
+    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: tiling)
     lens = '[lens]\nfile = "singlet"\n'
     files = [sheet(tmp_path / "a.toml", more=lens)]
     files.append(sheet(tmp_path / "b.toml", pitch_um=10.0, more=lens))
-    cameras = [case.camera for case in prepared(files).cases]
+    cameras = [case.camera for case in prepared(files, resolution=48).cases]
     focal_lengths_mm = [camera.lens.focal_length_mm for camera in cameras]
     fields = [
         traced_lens(camera.lens, camera.object_distance_m).field_of_height(camera.die_mm / 2, 550.0)
