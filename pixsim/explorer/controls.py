@@ -85,7 +85,11 @@ class Control:
         return [float(sent), 0.0] if self.pair else float(sent)
 
     def page_value(self, value: object) -> object:
-        """Return the value that a page shows for a value of the field."""
+        """Return the value that a page shows for a value of the field; none for a word in place of
+        a number.
+        """
+        if self.minimum is not None and isinstance(value, str):
+            return None
         return value[0] if self.pair and isinstance(value, list | tuple) else value
 
 
@@ -140,6 +144,7 @@ def _field_control(schema: Mapping[str, Any], path: str) -> Control | None:
         choices += [kind["const"]] if "const" in kind else []
         numbers += kind.get("prefixItems", [kind]) if is_pair else [kind]
 
+    has_range = any("minimum" in number for number in numbers)
     unit = unit_of(name)
     ending = next((end for end in UNITS if name.endswith(end)), "") if unit else ""
     label = name.removesuffix(ending).replace("_", " ")
@@ -150,7 +155,7 @@ def _field_control(schema: Mapping[str, Any], path: str) -> Control | None:
         help=declared.get("description", ""),
         minimum=next((number["minimum"] for number in numbers if "minimum" in number), None),
         maximum=next((number["maximum"] for number in numbers if "maximum" in number), None),
-        choices=tuple(choices),
+        choices=() if has_range else tuple(choices),
         pair=is_pair,
     )
 

@@ -589,6 +589,8 @@ def _exposure_words(result: RunResult) -> str:
     longest_s = exposure.times * exposure.max_integration_s
     if exposure.integration_s is None and frame.integration_s >= longest_s:
         words += " (the maximum)"
+    if exposure.gain_db == "auto":
+        words += f" at {frame.gain_db:.3g} dB"
     if frame.saturated_fraction > SATURATED_SHOWN:
         words += f", {percent(frame.saturated_fraction)} of them saturated"
     return words

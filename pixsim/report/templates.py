@@ -27,6 +27,7 @@ WIDTH = 110
 # Plausible values for fields without a default, by name or by table and name; those of [pixel]
 # stand in its record.
 _EXAMPLES: dict[str, Any] = Camera().model_dump() | {
+    "require": ["delta_e<=1"],
     "name": "my-study",
     "streams": "chen2000",
     "title": "How small should my pixel be?",

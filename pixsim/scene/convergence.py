@@ -31,7 +31,7 @@ from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
+from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, with_metered_gain
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.setting import Effort
 
@@ -399,7 +399,9 @@ class _Halves:
             error_rate = (first - second) / 2
 
             readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
-            time_s = integration_time_s(exposure, readout, float(mean_rate.max()))
+            metered = with_metered_gain(exposure, readout, float(mean_rate.max()))
+            readout = readout.at(metered)
+            time_s = integration_time_s(metered, readout, float(mean_rate.max()))
             variance_dn2 = frame_variance_dn2(
                 mean_rate * time_s, time_s, readout, fixed_pattern=False
             )

@@ -28,8 +28,8 @@ _FRAMES_WORDS = Words(
 
 
 class Exposure(Record):
-    """Gain and time: manual if `integration_s` is given, else such that the brightest pixel reaches
-    `well_target` of saturation.
+    """Gain and time: the time is manual if `integration_s` is given, else such that the brightest
+    pixel reaches `well_target` of saturation. A gain of "auto" is 0 dB until light meters it.
 
     A burst is one frame: the sum of `frames` subexposures, each with its own noise, well and codes.
     They share the time of the frame, or each has all of it.
@@ -48,13 +48,16 @@ class Exposure(Record):
             " (the lower of the full well and the range of the ADC at gain_db)"
         ),
     )
-    gain_db: Annotated[GainDb, _GAIN_WORDS] = Field(
+    gain_db: Annotated[GainDb | Literal["auto"], _GAIN_WORDS] = Field(
         0.0,
         description=(
             "amplification before the ADC; at 0 dB the codes above the black level span the full"
-            " well, unless [pixel] states gain_e_per_dn, dn_per_e or adc_full_scale_e"
+            " well, unless [pixel] states gain_e_per_dn, dn_per_e or adc_full_scale_e. auto raises"
+            " it, up to max_gain_db, where the exposure time does not bring the brightest pixel to"
+            " well_target"
         ),
     )
+    max_gain_db: GainDb = Field(24.0, description="largest gain of gain_db = 'auto'")
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES), _FRAMES_WORDS] = Field(
         1,
         description=(
@@ -114,6 +117,16 @@ class Exposure(Record):
                 " from 0 to 1, as 0.4"
             )
         return self
+
+    @property
+    def least_gain_db(self) -> float:
+        """The gain, before light meters it."""
+        return 0.0 if self.gain_db == "auto" else self.gain_db
+
+    @property
+    def is_manual(self) -> bool:
+        """Whether neither time nor gain depends on the light."""
+        return self.integration_s is not None and self.gain_db != "auto"
 
     @property
     def flickers(self) -> bool:

@@ -158,12 +158,12 @@ class Readout:
         return readout if exposure is None else readout.at(exposure)
 
     def at(self, exposure: Exposure) -> Readout:
-        """Return the reading in an exposure: at its gain, in its subexposures. Raises PixsimError
-        as `Readout` does.
+        """Return the reading in an exposure: at its gain, 0 dB of one that is not metered yet, in
+        its subexposures. Raises PixsimError as `Readout` does.
         """
         readout = self
-        if exposure.gain_db != self.gain_db:
-            readout = replace(self, gain_db=exposure.gain_db)
+        if exposure.least_gain_db != self.gain_db:
+            readout = replace(self, gain_db=exposure.least_gain_db)
         return readout.burst(exposure.frames)
 
     def burst(self, exposures: Count) -> Readout:

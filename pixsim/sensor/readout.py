@@ -99,6 +99,28 @@ def integration_time_s(
     return longest_s if brightest * longest_s <= target_e else target_e / brightest
 
 
+def with_metered_gain(
+    exposure: Exposure, readout: Readout, brightest_e_per_s: NotNegative
+) -> Exposure:
+    """Return the exposure with the gain that brings the brightest pixel to the target, where its
+    time alone does not; an exposure of a stated gain as it is.
+
+    The gain is that by which the range of the ADC at 0 dB, times `well_target`, exceeds the charge.
+
+    brightest_e_per_s : mean photo-electrons per second of the brightest pixel
+    """
+    if exposure.gain_db != "auto":
+        return exposure
+    time_s = integration_time_s(exposure, readout, brightest_e_per_s)
+    charge_e = (brightest_e_per_s + readout.dark_current_e_per_s) * time_s
+    at_0_db = readout.at(exposure)
+    target_e = exposure.well_target * at_0_db.exposures * at_0_db.adc_range_e
+    gain_db = exposure.max_gain_db
+    if charge_e * 10 ** (gain_db / 20) > target_e:
+        gain_db = max(0.0, 20 * math.log10(target_e / charge_e))
+    return exposure.model_copy(update={"gain_db": gain_db})
+
+
 def metered_motion(
     still_e_per_s: Array, readout: Readout, exposure: Exposure, um_per_s: tuple[float, float]
 ) -> tuple[ImageMotion, Exposure]:
@@ -108,6 +130,7 @@ def metered_motion(
     still_e_per_s : signal of that picture, (rows, columns)
     um_per_s : velocity [x, y] of the image on the sensor
     """
+    exposure = with_metered_gain(exposure, readout, float(still_e_per_s.max()))
     time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
     return motion_in_frame(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
 
@@ -743,6 +766,7 @@ def capture_from_rates(
     Raises PixsimError if the shape differs from the sensor's, or if the electrons are too many for
     the numbers of the rates.
     """
+    exposure = with_metered_gain(exposure, sensor.readout, float(signal_e_per_s.max()))
     readout = sensor.readout.at(exposure)
     if signal_e_per_s.shape != sensor.shape:
         hint = (
@@ -845,7 +869,7 @@ def _frame(
         pitch_um=physics.read_pitch_um,
         bits=readout.code_bits,
         saturated_fraction=saturated_fraction,
-        gain_db=exposure.gain_db,
+        gain_db=readout.gain_db,
         layout=physics.layout,
         registration=physics.registration,
         exposures=readout.exposures,

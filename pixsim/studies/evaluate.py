@@ -511,6 +511,7 @@ _DN = "dn"
 _SATURATED = "saturated_fraction"
 _MEAN = "mean_electrons_e"
 _TIME = "integration_s"
+_GAIN = "gain_db"
 _CORRECTED = "corrected_e"
 _SATURATED_PIXELS = "saturated"
 
@@ -519,7 +520,8 @@ def _array_name(repeat: int, part: str) -> str:
     """Return the name of an array of a frame in the cache.
 
     Beside the codes and the corrected electrons, the cache has what does not follow from them: the
-    saturated fraction, the saturated pixels of a burst, the time and the mean of the electrons.
+    saturated fraction, the saturated pixels of a burst, the time, the gain and the mean of the
+    electrons.
     """
     return f"{repeat}_{part}"
 
@@ -535,7 +537,7 @@ def _cached_frame(
         pictures.append(_CORRECTED)
     if imaging.exposure.frames > 1:
         pictures.append(_SATURATED_PIXELS)
-    parts = (*pictures, _SATURATED, _MEAN, _TIME)
+    parts = (*pictures, _SATURATED, _MEAN, _TIME, _GAIN)
     arrays: cache.Arrays = {}
     for part in parts:
         array = frames.get(_array_name(repeat, part))
@@ -567,8 +569,9 @@ def _chain_of_cached_frame(
     cached = _cached_frame(frames, repeat, shape, imaging)
     if cached is None:
         return None
-    exposure = with_shared_time(imaging.exposure, float(cached[_TIME]))
-    return chain_of_frames(imaging, light, exposure, shape)
+    metered = imaging.exposure.model_copy(update={"gain_db": float(cached[_GAIN])})
+    exposure = with_shared_time(metered, float(cached[_TIME]))
+    return chain_of_frames(imaging.changed(exposure=metered), light, exposure, shape)
 
 
 def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
@@ -591,6 +594,7 @@ def _arrays_for_cache(frame: Frame) -> cache.Arrays:
         _SATURATED: np.array(frame.saturated_fraction),
         _MEAN: np.array(frame.mean_e.mean()),
         _TIME: np.array(frame.integration_s),
+        _GAIN: np.array(frame.gain_db),
     }
     if frame.corrected_e is not None:
         arrays[_CORRECTED] = frame.corrected_e

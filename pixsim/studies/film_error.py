@@ -41,7 +41,12 @@ from pixsim.scene.rules import Chart
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.motion_options import NO_MOTION
-from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, with_shared_time
+from pixsim.sensor.readout import (
+    frame_variance_dn2,
+    integration_time_s,
+    with_metered_gain,
+    with_shared_time,
+)
 from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
@@ -989,6 +994,13 @@ def chains_of_film(
 
     chains = _mapped_in_threads(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
+    if steady.gain_db == "auto":
+        steady = with_metered_gain(steady, imaging.readout, brightest_e_per_s)
+        imaging = imaging.changed(exposure=steady)
+        chains = [
+            replace(chain, imaging=chain.imaging.changed(exposure=steady), readout=imaging.readout)
+            for chain in chains
+        ]
     exposure = with_shared_time(
         steady, integration_time_s(steady, imaging.readout, brightest_e_per_s)
     )

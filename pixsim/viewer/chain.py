@@ -30,6 +30,7 @@ from pixsim.sensor.readout import (
     integration_time_s,
     metered_motion,
     sample_sensor,
+    with_metered_gain,
     with_shared_time,
 )
 from pixsim.viewer.develop import ColourChart
@@ -253,12 +254,18 @@ def make_chain(
     physics = imaging.physics
     exposure = imaging.exposure
     signal, collections = array_signal(scene.lights, scene.sample_pitch_um, physics, scene.array_um)
-    if scene.metering_light is not None and exposure.integration_s is None:
+    metered = signal
+    if scene.metering_light is not None and not exposure.is_manual:
         metered, _ = array_signal(
             scene.metering_light, scene.sample_pitch_um, physics, scene.array_um
         )
+    brightest_e_per_s = float(metered.max())
+    if exposure.gain_db == "auto":
+        exposure = with_metered_gain(exposure, imaging.readout, brightest_e_per_s)
+        imaging = imaging.changed(exposure=exposure)
+    if scene.metering_light is not None and exposure.integration_s is None:
         exposure = with_shared_time(
-            exposure, integration_time_s(exposure, imaging.readout, float(metered.max()))
+            exposure, integration_time_s(exposure, imaging.readout, brightest_e_per_s)
         )
     still = _standing(imaging, scene, exposure, signal, collections)
     return _moved(still, room_is_checked) if any(imaging.um_per_s) else still

@@ -735,6 +735,10 @@ ROWS = (
     Row((SOLVE_FOR,), lambda case, _: DETECTABILITY.name in case.imaging.metrics.names),
     # The small light is bright enough for a time below the longest one, and has no room for motion.
     Row(
+        ("exposure.gain_db", "exposure.max_gain_db"),
+        lambda case, _: case.imaging.exposure.gain_db == "auto" or None,
+    ),
+    Row(
         ("exposure.max_integration_s",),
         lambda case, _: case.imaging.exposure.integration_s is None or None,
     ),

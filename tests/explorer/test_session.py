@@ -210,9 +210,10 @@ def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monk
 def test_controls_have_what_their_fields_declare():
     """Of a pair of numbers, the first is turned."""
     controls = {control.path: control for control in controls_of((), ())}
-    declared = Run.model_json_schema()["$defs"]["Exposure"]["properties"]["gain_db"]
+    declared = Run.model_json_schema()["$defs"]["Exposure"]["properties"]["max_gain_db"]
     gain = controls["exposure.gain_db"]
     assert (gain.minimum, gain.maximum, gain.unit) == (0, declared["maximum"], "dB")
+    assert (gain.choices, gain.page_value("auto")) == ((), None)
     assert controls["pixel.pitch_um"].unit == "µm"
     assert all(control.help for control in controls.values())
     motion = controls["motion.image_um_per_s"]
