@@ -394,8 +394,6 @@ def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
     assert (study_pitches_um(study, "0.35um").size, study.repeats) == (sizes, sensors)
 
 
-
-
 def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
     study = study_of(text, tmp_path)
@@ -411,8 +409,6 @@ def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
         ).pixel.data_sheet_pitch_um
         is None
     )
-
-
 
 
 @pytest.mark.parametrize(

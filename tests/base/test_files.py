@@ -153,5 +153,3 @@ def test_digest_of_sees_each_change(
         found += [digest_of(path), digest_of(path)]
     assert found[0] == found[1] == found[4] == found[5] != found[2] == found[3]
     assert found[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
-
-
