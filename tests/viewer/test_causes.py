@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.chains import imaging
+from helpers.claims import Claim
 
 import pixsim
 from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
 from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, Spectrum
-from pixsim.report.score import exceeded_words, shown_mean
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.spectral_range import OUTSIDE, outside_header, outside_share
 from pixsim.viewer.causes import causes_of, is_uninformative
-from pixsim.viewer.score import NOTHING, Cause, LightError
+from pixsim.viewer.score import NOTHING, Cause
 
 NM = np.arange(405.0, 700.0, 10.0)
 CAMERA = Camera(focal_length_mm=4.0, die_mm=0.32)
@@ -75,20 +75,158 @@ def named(
     )
 
 
-# --- light that is not computed
+def delta_e_of(*arguments: Any, **settings: Any) -> list[float]:
+    """Return the ΔE of the causes of a frame, in their order."""
+    return [cause.delta_e for cause in named(*arguments, **settings)]
 
 
-@pytest.mark.parametrize(("low_nm", "high_nm"), [(800, 900), (320, 700), (320, 1000), (360, 1300)])
-def test_share_of_a_lamp_outside_is_that_of_its_photons(low_nm: float, high_nm: float) -> None:
-    """Photons of equal power per nm grow as the wavelength; silicon sees none beyond 1110 nm."""
+def lightness(luminance: float) -> float:
+    """CIE L* above 8."""
+    return 116 * luminance ** (1 / 3) - 16
+
+
+def lamp(low_nm: float, high_nm: float) -> dict[str, Any]:
+    """Return the header of a lamp of equal power per nm."""
+    return outside_header([Spectrum(np.array([low_nm, high_nm], float), np.ones(2))])
+
+
+def share_outside(low_nm: float, high_nm: float) -> float:
+    """Photons outside 360-830 nm grow as the wavelength; silicon sees none beyond 1110 nm."""
     end_nm = min(high_nm, 1110)
     inside = max(0, min(end_nm, 830) ** 2 - max(low_nm, 360) ** 2)
-    expected = 1 - inside / (end_nm**2 - low_nm**2)
-    header = outside_header([Spectrum(np.array([low_nm, high_nm], float), np.ones(2))])
-    assert outside_share(header, FLAT.physics) == pytest.approx(expected, abs=1e-5)
-    (cause,) = named(header=header)
-    lightness = 116 * (1 - expected) ** (1 / 3) - 16 if expected < 0.99 else 0.0
-    assert cause.delta_e == pytest.approx(100 - lightness, abs=1e-2)
+    return 1 - inside / (end_nm**2 - low_nm**2)
+
+
+def readout_of(**fields: float) -> Readout:
+    return Readout.of(derive(Pixel(**QUIET | fields)))
+
+
+FULL_E = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
+LAMP = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
+BURST = FLAT.burst(8)
+BURST_WHITE_E = BURST.saturation_e - 0.004 * BURST.dark_current_e_per_s
+HALF_FULL: dict[str, Any] = {"saturated_fraction": 0.5, "time_s": 0.004}
+NOISY = readout_of(read_noise_e=100.0, black_level_dn=1000, bits=16)
+EIGHT_BITS = readout_of(bits=8)
+HIDDEN = replace(
+    readout_of(full_well_e=65_535.0, bits=16, black_level_dn=30_000), read_noise_e=30_000.0
+)
+OUTSIDE_LAMP = lamp(400, 900)
+CLAIMS = [
+    *(
+        Claim(
+            f"share of a lamp from {low_nm} to {high_nm} nm outside",
+            lambda low_nm=low_nm, high_nm=high_nm: outside_share(
+                lamp(low_nm, high_nm), FLAT.physics
+            ),
+            share_outside(low_nm, high_nm),
+            atol=1e-5,
+            why="cells of the header",
+        )
+        for low_nm, high_nm in ((800, 900), (320, 700), (320, 1000), (360, 1300))
+    ),
+    Claim(
+        "ΔE of light that is not computed",
+        lambda: delta_e_of(header=lamp(320, 1000)),
+        [100 - lightness(1 - share_outside(320, 1000))],
+        rtol=1e-4,
+        why="cells of the header",
+    ),
+    Claim(
+        "of 85 % full pixels in a white of four wells, L* of a quarter is left",
+        lambda: delta_e_of(FLAT, 4 * FULL_E, saturated_fraction=0.85),
+        [100 - lightness(0.25)],
+        atol=1e-9,
+    ),
+    *(
+        Claim(
+            f"full pixels cost nothing where {name}",
+            lambda white=white, lightest=lightest, share=share: delta_e_of(
+                FLAT, white * FULL_E, (0.0, lightest), share
+            ),
+            [],
+        )
+        for name, white, lightest, share in (
+            ("white is full", 1, 100.0, 0.85),
+            ("the picture is darker", 4, 57.0, 0.85),
+            ("they are few", 4, 100.0, 0.005),
+        )
+    ),
+    Claim(
+        "of a burst at its wells each phase above the mean is lost, m/π of m = 0.6 sinc(0.05)",
+        lambda: delta_e_of(BURST, BURST_WHITE_E, exposure=LAMP, **HALF_FULL),
+        [100 - lightness(1 - 0.6 * np.sinc(0.05) / math.pi)],
+        atol=1e-9,
+    ),
+    Claim(
+        "steady light at the wells of a burst",
+        lambda: delta_e_of(BURST, BURST_WHITE_E, exposure=LAMP.steady, **HALF_FULL),
+        [],
+    ),
+    Claim(
+        "light below the wells of a burst at all phases",
+        lambda: delta_e_of(BURST, BURST_WHITE_E / 1.6, exposure=LAMP, **HALF_FULL),
+        [],
+    ),
+    *(
+        Claim(
+            f"{count} codes to white: the lightness of one",
+            lambda fields=fields, white_e=white_e: delta_e_of(readout_of(**fields), white_e),
+            [lightness(1 / count)] * (count < 8),
+            rtol=1e-6,
+        )
+        for fields, white_e, count in (
+            ({"bits": 16}, 7 * 1e4 / 65535, 7),
+            ({"bits": 2}, 4e4, 3),
+            ({"bits": 10, "black_level_dn": 1020}, 4e4, 3),
+            ({"bits": 16}, 9 * 1e4 / 65535, 9),
+        )
+    ),
+    *(
+        Claim(
+            f"lightest dot of {codes} codes of 255, where L* is linear",
+            lambda codes=codes: delta_e_of(
+                EIGHT_BITS,
+                EIGHT_BITS.saturation_e,
+                (24389 / 27 * codes / 255 - 1, 24389 / 27 * codes / 255),
+            ),
+            [24389 / 27 * codes / 255] * (codes < 1),
+            rtol=1e-12,
+        )
+        for codes in (0.9, 6.0)
+    ),
+    Claim(
+        "10 codes to white in noise of 16 000, a quarter of the range of the ADC",
+        lambda: delta_e_of(HIDDEN, 10 / HIDDEN.dn_per_e),
+        [100.0],
+    ),
+    *(
+        Claim(
+            f"light of {share} thousandths of the noise is lost, {count} subexposures",
+            lambda count=count, share=share: int(
+                is_uninformative(NOISY.burst(count), count * 0.1 * share, 0.01, 100.0, 0.0)
+            ),
+            int(share < 1),
+        )
+        for count in (1, 4)
+        for share in (0.99, 1.01)
+    ),
+    Claim(
+        "the largest cause comes first",
+        lambda: np.diff(
+            np.argsort(-np.array(delta_e_of(FLAT, 1.0, (50.0, 50.0), header=OUTSIDE_LAMP)))
+        ),
+        [1, 1],
+    ),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
+
+
+# --- light that is not computed
 
 
 @pytest.mark.parametrize("entry", ["much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3]])
@@ -164,104 +302,7 @@ def test_frame_with_little_light_is_informative(integration_s: float) -> None:
     assert not [note for note in notes if NOTHING in str(note.message)]
 
 
-@pytest.mark.parametrize("subexposures", [1, 4])
-def test_light_below_a_thousandth_of_the_noise_is_lost(subexposures: int) -> None:
-    """Read noise of 100 e- far from any clipping, in each part of a burst; rounding is 1e-7."""
-    pixel = Pixel(**QUIET | {"read_noise_e": 100.0, "black_level_dn": 1000, "bits": 16})
-    readout = Readout.of(derive(pixel)).burst(subexposures)
-    lost = [
-        is_uninformative(readout, subexposures * signal_e, 0.01, 100.0, 0.0)
-        for signal_e in (0.099, 0.101)
-    ]
-    assert lost == [True, False]
-
-
-def test_light_that_noise_hides_is_named_where_the_codes_would_do() -> None:
-    """10 codes to white, and noise of 16 000, a quarter of the range of the ADC."""
-    pixel = Pixel(**QUIET | {"full_well_e": 65_535.0, "bits": 16, "black_level_dn": 30_000})
-    readout = replace(Readout.of(derive(pixel)), read_noise_e=30_000.0)
-    (cause,) = named(readout, 10 / readout.dn_per_e)
-    assert cause.words == f"{NOTHING}: its light is lost in the noise"
-
-
 # --- the ADC and the well
 
 
-@pytest.mark.parametrize(
-    ("fields", "white_e", "words", "codes"),
-    [
-        ({"bits": 16}, 7 * 1e4 / 65535, "only 7 codes of the ADC between black and display", 7),
-        ({"bits": 2}, 4e4, "only 3 codes of the ADC between black and its end", 3),
-        ({"bits": 10, "black_level_dn": 1020}, 4e4, "only 3 codes of the ADC between black and", 3),
-        ({"dark_current_e_per_s": 1e9}, 1e4, f"{NOTHING}: dark charge leaves no code", 0),
-        ({"bits": 16}, 9 * 1e4 / 65535, "", 9),
-    ],
-)
-def test_few_codes_to_white_are_a_cause(
-    fields: dict[str, float], white_e: float, words: str, codes: int
-) -> None:
-    """Of the lightness of one code, the step beside black."""
-    readout = Readout.of(derive(Pixel(**QUIET | fields)))
-    causes = named(readout, white_e)
-    assert [cause.words.startswith(words) for cause in causes] == [True] * bool(words)
-    if codes in (3, 7):
-        step = 116 * codes ** (-1 / 3) - 16
-        assert causes[0].delta_e == pytest.approx(step, rel=1e-3)
-
-
-@pytest.mark.parametrize(("codes", "count"), [(0.9, 1), (6.0, 0)])
-def test_lightest_dot_below_one_code_is_a_cause(codes: float, count: int) -> None:
-    """Of 255 codes to display white; L* below 8 is linear (CIE 15)."""
-    readout = Readout.of(derive(Pixel(**QUIET | {"bits": 8})))
-    lightest = 24389 / 27 * codes / 255
-    causes = named(readout, readout.saturation_e, (lightest - 1, lightest))
-    words = ["the lightest dot is 0.9 of a step of the ADC above black"]
-    assert [cause.words for cause in causes] == words * count
-
-
-def test_full_pixels_are_a_cause_where_white_is_lighter() -> None:
-    """In a white of four wells L* 57.1 is left: up to 42.9 are lost."""
-    full_e = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
-    (cause,) = named(FLAT, 4 * full_e, saturated_fraction=0.85)
-    assert cause.words == "85 % of the pixels are saturated"
-    assert cause.delta_e == pytest.approx(100 - (116 * 0.25 ** (1 / 3) - 16), abs=1e-9)
-    assert named(FLAT, full_e, saturated_fraction=0.85) == ()
-    assert named(FLAT, 4 * full_e, (0.0, 57.0), 0.85) == ()
-    assert named(FLAT, 4 * full_e, saturated_fraction=0.005) == ()
-
-
-def test_full_subexposures_are_a_cause_though_their_sum_is_not_full() -> None:
-    """White of exactly all wells: of light of modulation m = 0.6 sinc(0.05) each phase above the
-    mean is lost, m/π of it.
-    """
-    lamp = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
-    readout = FLAT.burst(8)
-    white_e = readout.saturation_e - 0.004 * readout.dark_current_e_per_s
-    frame = {"saturated_fraction": 0.5, "time_s": 0.004}
-    (cause,) = named(readout, white_e, exposure=lamp, **frame)
-    left = 1 - 0.6 * np.sinc(0.05) / math.pi
-    assert cause.delta_e == pytest.approx(100 - (116 * left ** (1 / 3) - 16), abs=1e-9)
-    assert named(readout, white_e, exposure=lamp.steady, **frame) == ()
-    assert named(readout, white_e / 1.6, exposure=lamp, **frame) == ()
-
-
 # --- the order of causes, and where they stand
-
-
-def test_largest_cause_comes_first() -> None:
-    """Among causes, and before smaller errors of the light."""
-    outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
-    causes = named(FLAT, 1.0, (50.0, 50.0), header=outside)
-    delta_e = [cause.delta_e for cause in causes]
-    assert len(causes) == 3
-    assert delta_e == sorted(delta_e, reverse=True)
-    few = Cause("few codes", 50.0, "more bits")
-    assert shown_mean(76.5, LightError(3.6), LightError(0.02), (few,)).startswith(
-        "76.5 (few codes)"
-    )
-    weak = Cause("light left out", 2.0, "a filter")
-    assert "left out" not in shown_mean(76.5, LightError(3.6), LightError(0.02), (weak,))
-    for noise_delta_e, first in ((0.5, "the film's error"), (2.8, "the error by render noise")):
-        words = exceeded_words(LightError(0.6, noise_delta_e), LightError(0.02, 0.01))
-        assert words[0].startswith(first)
-        assert len(words) == 2

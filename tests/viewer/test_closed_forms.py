@@ -31,7 +31,7 @@ from pixsim.viewer.demosaic import (
     demosaic_row_covariance,
 )
 from pixsim.viewer.denoising import anscombe, wiener
-from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
+from pixsim.viewer.mtf import _crosstalk_mtf, mtf_terms, terms_to_sensor
 from pixsim.viewer.screen import fraction_beyond_white
 from pixsim.viewer.tone import luminance_of, reinhard, toned
 
@@ -71,6 +71,16 @@ PIXEL = Pixel(
     dark_current_e_per_s=0.0,
     quantum_efficiency=0.6,
     fill_factor=1.0,
+)
+CROSS = np.array([[0.0, 0.1, 0.0], [0.1, 0.6, 0.1], [0.0, 0.1, 0.0]])
+STACKED = Pixel(
+    technology="none",
+    pitch_um=4.0,
+    full_well_e=2e4,
+    read_noise_e=4.0,
+    dark_current_e_per_s=0.0,
+    quantum_efficiency=0.6,
+    stack={"height_um": 6.0, "index": 1.5, "microlens": "square", "crosstalk": 0.05},
 )
 
 
@@ -217,6 +227,19 @@ DISPLAYS = [
         ],
         rtol=1e-4,
         why="a band of 10 nm in place of one wavelength",
+    ),
+    Claim(
+        "MTF of light that four neighbours share",
+        lambda: _crosstalk_mtf(CROSS, 4.0, np.array([0.0, 62.5, 125.0])),
+        [1, 1 - 0.2, 1 - 0.4],
+        atol=1e-15,
+        why="1 - 2c(1 - cos 2πfp) of shares c = 0.1",
+    ),
+    Claim(
+        "aperture of a pixel with a microlens: its pitch",
+        lambda: mtf_terms(imaging(CAMERA, STACKED), FIELD, np.array([60.0]))["microlens"],
+        [np.sinc(0.24)],
+        rtol=1e-9,
     ),
     Claim(
         "terms of the display are not on the sensor",

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.claims import Claim
 from scipy.special import ndtr
 
 import pixsim
@@ -185,48 +186,7 @@ def test_radial_spectrum_is_that_of_random_light_on_any_film() -> None:
     assert (power[frequency > 62.0] < 1e-5 * power[0]).all()
 
 
-# --- edges
-
-
-@pytest.mark.parametrize(("angle_deg", "rise"), [(5.0, 0.7), (-5.0, 0.7), (12.0, -0.1)])
-def test_edge_mtf_of_a_gaussian_blur(angle_deg: float, rise: float) -> None:
-    """e^(-2π² s² f²), also beyond the Nyquist frequency; clockwise with row 0 on top."""
-    angle = math.radians(angle_deg)
-    place = np.arange(96) - 47.5
-    distance = math.cos(angle) * place + math.sin(angle) * place[:, None]
-    frequency = np.linspace(0.0, 1.0, 21)
-    mtf = metrics.edge_mtf(0.2 + rise * ndtr(distance / 0.5), angle_deg, frequency)
-    expected = np.exp(-2 * (np.pi * 0.5 * frequency) ** 2)
-    np.testing.assert_allclose(mtf, expected, atol=1e-4)
-
-
-def test_edge_mtf_has_the_angle_of_the_chart() -> None:
-    """The other way, 64 rows would smear the edge over 128 tan 5° = 11.2 px."""
-    chart = pixsim.make_chart("slanted_edge", 64, 64).astype(float)
-    assert metrics.edge_mtf(chart, 5.0, 0.5) == pytest.approx(2 / np.pi, abs=0.01)
-    assert metrics.edge_mtf(chart, -5.0, 1 / 11.2) < 0.1
-
-
-@pytest.mark.parametrize("name", ["acutance", "mtf50", "relative_edge_response"])
-def test_curve_that_does_not_begin_at_0_is_1_there(name: str) -> None:
-    frequency = np.linspace(0.0, 20.0, 2001)
-    mtf = 1 - frequency / 30
-    judge = getattr(metrics, name)
-    assert judge(frequency[1:], mtf[1:]) == pytest.approx(judge(frequency, mtf), rel=1e-12)
-
-
-def test_curve_that_stays_high_has_no_mtf50() -> None:
-    assert metrics.mtf50(np.array([0.0, 1.0]), np.array([1.0, 0.6])) is None
-
-
 # --- visible noise
-
-
-@pytest.mark.parametrize("white", [WHITE, np.ones(3)])
-def test_grey_noise_is_the_same_in_colour(white: np.ndarray) -> None:
-    grey = 0.2 + np.random.default_rng(44).normal(0.0, 0.01, (32, 48))
-    noise = metrics.visual_noise(grey[..., None] * white, 30.0, white_xyz=white)
-    assert noise == pytest.approx(metrics.visual_noise(grey, 30.0), rel=1e-9)
 
 
 @pytest.mark.parametrize(("channel", "terms", "scale"), [
@@ -257,16 +217,101 @@ def test_visual_noise_of_a_coloured_wave(channel: int, terms: Any, scale: float)
     assert noise == pytest.approx(change / math.sqrt(2) * gain, rel=1e-4)
 
 
-# --- SNR
+# --- edges, curves, visible noise and SNR as rows
 
 
-def test_light_for_an_snr_of_10_gives_it() -> None:
-    """√n µ/√(µ + σ² + (PRNU µ)²); none where PRNU or the well keeps it below."""
-    options = {"reflectance": 0.9, "prnu": 0.02, "pixels_per_dot": 2.5}
-    lux = metrics.snr10_lx(4000.0, 1000.0, dark_variance_e2=80.0, **options)
+def edge(angle_deg: float, rise: float) -> np.ndarray:
+    """Return an edge behind a Gaussian blur of 0.5 px, clockwise with row 0 on top."""
+    angle = math.radians(angle_deg)
+    place = np.arange(96) - 47.5
+    distance = math.cos(angle) * place + math.sin(angle) * place[:, None]
+    return 0.2 + rise * ndtr(distance / 0.5)
+
+
+def snr_of_dot(lux: float) -> float:
+    """Return √n µ/√(µ + σ² + (PRNU µ)²) of `NOISY_DOT` in a light."""
     mean_e = lux * 0.9 / math.pi * 4.0
-    noise_e = math.sqrt(mean_e + 80.0 + (0.02 * mean_e) ** 2)
-    assert math.sqrt(2.5) * mean_e / noise_e == pytest.approx(10.0, rel=1e-12)
-    assert metrics.snr10_lx(4000.0, 1000.0, **options | {"prnu": 0.16}) is None
-    assert metrics.snr10_lx(4000.0, 1000.0, reflectance=0.9, saturation_e=99.0) is None
-    assert metrics.snr10_lx(4000.0, 1000.0, reflectance=0.9, saturation_e=101.0) is not None
+    return math.sqrt(2.5) * mean_e / math.sqrt(mean_e + 80.0 + (0.02 * mean_e) ** 2)
+
+
+def has_number(value: float | None) -> int:
+    return int(value is not None)
+
+
+FREQUENCY = np.linspace(0.0, 20.0, 2001)
+FALLING = 1 - FREQUENCY / 30
+EDGE_CY_PER_PX = np.linspace(0.0, 1.0, 21)
+CHART = pixsim.make_chart("slanted_edge", 64, 64).astype(float)
+GREY_NOISE = 0.2 + np.random.default_rng(44).normal(0.0, 0.01, (32, 48))
+NOISY_DOT: dict[str, Any] = {"reflectance": 0.9, "prnu": 0.02, "pixels_per_dot": 2.5}
+CLAIMS = [
+    *(
+        Claim(
+            f"edge of {angle_deg}° behind a Gaussian, also beyond the Nyquist frequency",
+            lambda angle_deg=angle_deg, rise=rise: metrics.edge_mtf(
+                edge(angle_deg, rise), angle_deg, EDGE_CY_PER_PX
+            ),
+            np.exp(-2 * (np.pi * 0.5 * EDGE_CY_PER_PX) ** 2),
+            atol=1e-4,
+            why="straight between samples",
+        )
+        for angle_deg, rise in ((5.0, 0.7), (-5.0, 0.7), (12.0, -0.1))
+    ),
+    Claim(
+        "the chart's edge has 5° clockwise",
+        lambda: metrics.edge_mtf(CHART, 5.0, 0.5),
+        2 / np.pi,
+        atol=0.01,
+        why="64 rows; the other way they would smear the edge over 11.2 px",
+    ),
+    *(
+        Claim(
+            f"{name} of a curve that does not begin at 0, where it is 1",
+            lambda judge=judge: judge(FREQUENCY[1:], FALLING[1:]) / judge(FREQUENCY, FALLING),
+            1.0,
+            rtol=1e-12,
+        )
+        for name, judge in (
+            ("acutance", metrics.acutance),
+            ("MTF50", metrics.mtf50),
+            ("edge response", metrics.relative_edge_response),
+        )
+    ),
+    Claim(
+        "a curve that stays high has no MTF50",
+        lambda: has_number(metrics.mtf50(np.array([0.0, 1.0]), np.array([1.0, 0.6]))),
+        0,
+    ),
+    *(
+        Claim(
+            f"grey noise as colours in a white of {white.tolist()}",
+            lambda white=white: (
+                metrics.visual_noise(GREY_NOISE[..., None] * white, 30.0, white_xyz=white)
+                / metrics.visual_noise(GREY_NOISE, 30.0)
+            ),
+            1.0,
+            rtol=1e-9,
+        )
+        for white in (WHITE, np.ones(3))
+    ),
+    Claim(
+        "light for an SNR of 10",
+        lambda: snr_of_dot(metrics.snr10_lx(4e3, 1e3, dark_variance_e2=80.0, **NOISY_DOT)),
+        10.0,
+        rtol=1e-12,
+    ),
+    Claim(
+        "PRNU or a small well keeps the SNR below 10",
+        lambda: [
+            has_number(metrics.snr10_lx(4e3, 1e3, **NOISY_DOT | {"prnu": 0.16})),
+            has_number(metrics.snr10_lx(4e3, 1e3, reflectance=0.9, saturation_e=99.0)),
+            has_number(metrics.snr10_lx(4e3, 1e3, reflectance=0.9, saturation_e=101.0)),
+        ],
+        [0, 0, 1],
+    ),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()

@@ -112,7 +112,7 @@ def fixed_e2(chain: ImagingChain) -> float:
 
 def d_prime_of_signal_and_noise(image: SpectralImage) -> float:
     """Return √Σ Δ²/σ² over the pixels, of their expected electrons."""
-    target_e, background_e = (TIME_S * chain_of(each).signal_e_per_s for each in (image, UNIFORM))
+    target_e, background_e = (TIME_S * chain_of(scene).signal_e_per_s for scene in (image, UNIFORM))
     variance_e2 = (target_e + background_e) / 2 + fixed_e2(chain_of())
     return math.sqrt(float(((target_e - background_e) ** 2 / variance_e2).sum()))
 
@@ -268,7 +268,7 @@ def test_contrast_factor_is_the_threshold_over_d_prime(
     """Where no picture clips and no light is negative; else 1e12, and the reason."""
     options = {"detectability": {"registrations": 1, "threshold": threshold}}
     image, without = (
-        light(background * each.data[..., 0] / 2e-4) for each in (with_disc(contrast), UNIFORM)
+        light(background * scene.data[..., 0] / 2e-4) for scene in (with_disc(contrast), UNIFORM)
     )
     chain = chain_of(image, background=without, metrics=request("detectability", **options))
     d_prime, _, column = numbers_of(chain, "detectability")
@@ -664,8 +664,8 @@ def test_every_metric_has_a_number_or_says_what_it_needs(name: str, situation: s
     fields = {"quantum_efficiency": None, "colour": colour} if pattern else {}
     disc = 1.0 + 0.1 * (np.hypot(*(np.mgrid[:100, :100] - 49.5)) < 20.0)
     image, without = (
-        SpectralImage(nm, 20.0, 4.0, data=np.float32(2e-5 * each)[..., None] * np.ones(len(nm)))
-        for each in (disc, np.ones((100, 100)))
+        SpectralImage(nm, 20.0, 4.0, data=np.float32(2e-5 * plane)[..., None] * np.ones(len(nm)))
+        for plane in (disc, np.ones((100, 100)))
     )
     settings: dict[str, Any] = {"pixel": PIXEL.model_copy(update=fields)}
     if name in ("detectability", "npwe") and situation != "no target":

@@ -280,7 +280,7 @@ def test_neighbours_share_what_the_mosaic_collects(colour: dict[str, Any]) -> No
     around = neighbours(layout)
     np.testing.assert_allclose(around.sum(axis=1), 1, rtol=1e-12)
     shares = np.random.default_rng(1).uniform(0, 1, (3, 5, 5))
-    collections = tuple(Collection(each[None, None], each.sum(), 2.0) for each in shares)
+    collections = tuple(Collection(kernel[None, None], kernel.sum(), 2.0) for kernel in shares)
     collection = ColourCollection(layout, collections, (1.0, 2.0, 3.0), 2.0)
     mixing_um2 = (around * shares).sum(axis=(2, 3)) * 2.0**2
     np.testing.assert_allclose(mixing_um2, collection.mixing_um2, rtol=1e-12)

@@ -32,7 +32,8 @@ def notes_of(change: dict[str, Any]) -> set[str]:
     pixel = Pixel.model_validate(SILICON | change.get("pixel", {}))
     display = Display.model_validate({"dots": 32} | change.get("display", WHITE))
     with warnings.catch_warnings(action="ignore"), collected_notes(alone=True) as notes:
-        image, camera = light(**change.get("light", {})), change.get("camera", CAMERA)
+        camera = change.get("camera", CAMERA)
+        image = light(**change.get("light", {}))
         pixsim.evaluate(image, camera, pixel, display=display, **change.get("evaluate", {}))
     return {note.id for note in notes}
 

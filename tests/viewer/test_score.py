@@ -156,7 +156,7 @@ def test_pictures_are_rounded_and_clipped_to_the_display() -> None:
     with pytest.warns(UserWarning, match="17 % of the ideal image is brighter than display white"):
         score = pixsim.score_pictures(picture, picture[:, ::-1], display)
     np.testing.assert_allclose(score.ideal[0], [0, 0, 1 / 3, 2 / 3, 1, 1], atol=1e-15)
-    pair = [np.repeat(each[..., None], 3, axis=2) for each in (score.ideal, score.image)]
+    pair = [np.repeat(grey[..., None], 3, axis=2) for grey in (score.ideal, score.image)]
     coloured = pixsim.score_pictures(*pair, display)
     np.testing.assert_allclose(coloured.delta_e, score.delta_e, atol=1e-9)
 
