@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
 import json
 import re
 from pathlib import Path
@@ -41,20 +40,6 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
     assert content["film"]["samples"] == [36, 48]
 
 
-def test_compare_says_each_note_once(tmp_path: Path) -> None:
-    """Of each sensor, on the page, in the terminal and in compare.json."""
-    files = two_sheets(tmp_path)
-    text = files[0].read_text(encoding="utf-8").replace("prnu = 0.0", "prnu = 0.06")
-    files[0].write_text(text, encoding="utf-8")
-    line = f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}"
-    code, out, err = command(line, *files)
-    assert code == 0
-    notes = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"]
-    assert [note["id"] for note in notes] == ["unit_slip", "black_level", "black_level"]
-    page = html.unescape(text_of(tmp_path / "out"))
-    for note in notes:
-        assert (out + err).count(note["text"]) == 1
-        assert page.count(f"Note: {note['text']}.") == 1
 
 
 # --- the words of an answer
