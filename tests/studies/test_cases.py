@@ -9,7 +9,6 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from helpers.tiny import TINY, keys, rows, tiny, toml_of
 
@@ -219,22 +218,6 @@ def test_study_computes_only_what_is_new(done: tuple[StudyResult, Path], tmp_pat
     ]
     assert counts == [(10, 100, 0, 0), (2, 20, 0, 10), (3, 10, 20, 0)]
     assert len(set(keys(folder)) - before) == 10
-
-
-def test_rasters_of_one_study_are_as_if_each_were_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Dots that are pixels are centred, and others have registrations, of which the first two are
-    the same for many sizes.
-    """
-    rasters = {"name": "shown", "set": "display.raster", "values": ["fixed_size", "one_to_one"]}
-    both = pixsim.study(small(repeats=4, axis=[rasters]), tmp_path / "both", jobs=1)
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
-    for curve in both.curves:
-        raster = curve.at["shown"]
-        study = small(repeats=4, display={"raster": raster})
-        alone = pixsim.study(study, tmp_path / str(raster), jobs=1)
-        np.testing.assert_array_equal(curve.delta_e, alone.curves[0].delta_e)
 
 
 def test_lights_behind_the_lens_are_held_one_at_a_time_where_one_has_room(

@@ -18,7 +18,6 @@ from pixsim.studies.files import load_study
 from pixsim.studies.merit import noise_budgets
 from pixsim.studies.settings import Study
 from pixsim.viewer.merging import merge
-from pixsim.viewer.screen import check_one_ideal
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:.*black level", "ignore:.*Fresnel", "ignore:.*, lens .*left out"
@@ -119,12 +118,3 @@ def test_packaged_study_of_filters_is_possible() -> None:
     cases = cases_of(load_study("colour"))
     channels = [len(physics_of(case.settings, "4t-bsi", 2.0).channels) for case in cases]
     assert channels == [1, 1, 3, 3, 3, 3, 3, 3, 3, 3]
-
-
-def test_monochrome_and_colour_sensors_have_one_ideal_in_a_grey_scene_only() -> None:
-    grey = np.full((4, 4, 3), 0.5)
-    red = np.full((4, 4, 3), (0.6, 0.5, 0.5))
-    check_one_ideal(["mono"], {"rgb": grey})
-    check_one_ideal([], {"in red": red, "also": red})
-    with pytest.raises(PixsimError, match=r"sensors: got mono .* and rgb, in red with"):
-        check_one_ideal(["mono"], {"rgb": grey, "in red": red})

@@ -16,7 +16,7 @@ from pixsim.optics.camera_lens import Tiling, traced_lens
 from pixsim.report.compare import numbers
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
-from pixsim.studies import evaluate as evaluate_module, film_error
+from pixsim.studies import evaluate as evaluate_module
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.sensors import SensorGroup, matched_cameras, pixels_of, prepare
 
@@ -303,27 +303,3 @@ def test_the_other_match_is_tried_where_none_is_stated(tmp_path: Path) -> None:
     assert both.pairs("b", match="lens").difference == lens.difference["b"] != both.difference["b"]
     same_field = [files[0], sheet(tmp_path / "c.toml", 12.0)]
     assert prepare(same_field, repeats=2).matches == ("view",)
-
-
-def test_film_of_each_sensor_is_measured_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The render and the difference measure the same parts of so small a picture; the next
-    comparison measures none.
-    """
-    measured: list[Any] = []
-    film_steps = film_error.film_steps
-
-    def recorded(*arguments: Any) -> Any:
-        measured.append(arguments)
-        return film_steps(*arguments)
-
-    monkeypatch.setattr(film_error, "film_steps", recorded)
-    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 12.0, 15.0, "[64, 48]")]
-    options: dict[str, Any] = {"match": "view", "repeats": 2} | SMALL | {"resolution": 128}
-    first, again = (
-        pixsim.compare(files, parameters={"luminance_cd_per_m2": 31.0}, **options) for _ in range(2)
-    )
-    assert len(measured) == len(files)
-    assert again.film_delta_e == first.film_delta_e
-    assert first.sensors[0].steps.error() == film_steps(*measured[0]).error()

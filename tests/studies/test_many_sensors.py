@@ -23,13 +23,6 @@ CAMERA = Camera(die_mm=0.64)
 DISPLAY = Display(dots=48, white_cd_per_m2=3000.0)
 OLD = Pixel(pitch_um=10.0)
 PIXELS = {"old": OLD, "phone": Pixel(technology="4t-bsi", pitch_um=10.0)}
-SHEET = {
-    "technology": "none",
-    "pitch_um": 10.0,
-    "quantum_efficiency": 0.5,
-    "read_noise_e": 2.0,
-    "dark_current_e_per_s": 0.0,
-}
 sweep = partial(pixsim.sweep, camera=CAMERA, jobs=1)
 
 
@@ -86,18 +79,6 @@ def test_pixels_of_several_sizes_are_scored_on_the_same_dots() -> None:
     assert [score.image.shape for score in expected] == [(46, 46), (40, 40)]
     assert large["mean_delta_e"] == expected[1].mean_delta_e
     assert small["mean_image"] == pytest.approx(expected[0].image[3:-3, 3:-3].mean(), rel=1e-12)
-
-
-def test_metric_without_a_number_for_one_of_the_sensors_is_nan() -> None:
-    """The deep well shows its surfaces, the shallow one is full of the brighter one."""
-    pixels = {name: Pixel(full_well_e=e, **SHEET) for name, e in (("full", 300.0), ("deep", 1e6))}
-    exposure = Exposure(integration_s=0.01)
-    with pytest.warns(UserWarning, match="pixel full: the metric niirs"):
-        table = sweep(
-            LIGHT, pixels, display=DISPLAY, exposure=exposure, metrics=["delta_e", "niirs"]
-        )
-    assert [np.isnan(row["niirs"]) for row in table] == [True, False]
-    assert all(row["mean_delta_e"] > 0 for row in table)
 
 
 def test_processes_change_no_number_and_another_light_does() -> None:

@@ -312,9 +312,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study and sensors, of which the files above are."""
     path = tmp_path_factory.mktemp("refused")
-    (path / "tiny.toml").write_text(
-        'name = "s"\nrepeats = 2\npitch.values_um = [20, 28, 40, 56, 80]\ndisplay.dots = 48\n'
-    )
+    (path / "tiny.toml").write_text('name = "s"\npitch.values_um = [20, 28, 40, 56, 80]\n')
     sheet(path / "a.toml")
     sheet(path / "b.toml")
     sheet(path / "small.toml", pitch_um=0.5, pixels="[30, 30]")
