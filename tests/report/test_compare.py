@@ -40,8 +40,6 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
     assert content["film"]["samples"] == [36, 48]
 
 
-
-
 # --- the words of an answer
 # ---------------------------------------------------------------------------------------------
 

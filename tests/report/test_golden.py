@@ -56,10 +56,6 @@ FURTHER_COMMANDS = {
         " --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick --jobs 1"
         " --axis camera.f_number=2.8,4 --out cases"
     ),
-    "accuracy": (
-        "accuracy csf --quick -D resolution=32 --display.dots 32 --pixel.pitch-um 84.8"
-        " --out accuracy"
-    ),
     "folders": "compare run run --json",
     "picture": (
         "run run/irradiance.exr --display.dots 32 --pixel.pitch-um 84.8 --metric information"

@@ -24,10 +24,9 @@ def test_tables_hold_the_lines_drawn() -> None:
     assert {plate.name: lines for plate in drawn if (lines := lines_without_rows(plate))} == {}
 
 
-@pytest.mark.parametrize(("name", "scale"), [("singlet", 1.0), ("double_gauss", 0.005)])
-def test_texts_of_figures_lie_inside(name: str, scale: float) -> None:
-    """With labels of three digits and a sign, and of three decimals."""
-    data = lens_data(pixsim.load_lens(name).scaled(scale), [486.1, 656.3])
+def test_texts_of_figures_lie_inside() -> None:
+    """With labels of three decimals."""
+    data = lens_data(pixsim.load_lens("double_gauss").scaled(0.005), [486.1, 656.3])
     for plate in (plot.draw() for plot in lens_document(data).plots):
         plate.figure.canvas.draw()
         width, height = plate.figure.canvas.get_width_height()

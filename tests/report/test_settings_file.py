@@ -100,9 +100,8 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
         ("run csf --pixel.technology mine.toml -D chart=star.exr -D spp=4 --camera.die-mm 1 --variant scalar_spectral --full "
          "--resolution 32 --display.dots 64 --render-noise 10", "run csf --config settings.toml --full", RUN_FILES, SCORE),
         ("run light.npz --config sheet.toml --seed 2", "run /", RUN_FILES, SCORE[:5]),
-        (PAIR, f"{REPEATED} --scene csf --config settings.toml --repeats",
-         (), (*COMPARED, "probability_a_better", "displays", "verdicts")),
-        (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --repeats 2", (), (*COMPARED, "conditions")),
+        (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --repeats 2", (),
+         (*COMPARED, "conditions", "probability_a_better", "displays", "verdicts")),
     ],
 )  # fmt: skip
 def test_command_of_settings_makes_the_same_numbers(
