@@ -557,6 +557,12 @@ LAYOUT = [
         rtol=1e-12,
     ),
     Claim(
+        "a stated well over the swing of 1.2 V is the capacitance",
+        lambda: pixel_035(full_well_e=1e5).capacitance_ff,
+        1e5 * electron / 1.2 * 1e15,
+        rtol=1e-12,
+    ),
+    Claim(
         "a stated well scales the capacitance, and offsets with it",
         lambda: pixel_035(a_vt_mv_um=8.0, follower_area_um2=0.5, full_well_e=1e5).offset_fpn_e,
         8e-3 / math.sqrt(0.5) / 1.2 * 1e5,

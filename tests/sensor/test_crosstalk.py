@@ -97,8 +97,12 @@ def test_grating_is_scaled_by_the_transform_of_the_kernel(order: int) -> None:
     np.testing.assert_allclose(collected, shares.sum() + transform * cosine, atol=1e-12)
 
 
+# In the last one rows with equal filters around them do not lie at equal distances.
+CELLS = [("GR", "BG"), ("RGB", "GGR"), (*["RG"] * 7, "BG")]
+
+
 @settings(max_examples=20, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1), cell=st.sampled_from([("GR", "BG"), ("RGB", "GGR")]))
+@given(seed=st.integers(0, 2**32 - 1), cell=st.sampled_from(CELLS))
 def test_neighbours_get_what_a_pixel_loses(seed: int, cell: tuple[str, ...]) -> None:
     """Light that stays within the array is collected once, whatever the shares of each channel;
     channels add up, and a stacked sensor has each by itself.
