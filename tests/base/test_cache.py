@@ -374,3 +374,11 @@ def test_files_of_other_users_are_passed_over(folder, monkeypatch):
     assert cache.clear() > 0
     assert [entry.kind for entry in cache.entries()] == ["theirs"]
     assert (folder / "closed/key.json").exists()
+
+
+def test_what_lies_in_a_closed_folder_is_no_entry(folder, monkeypatch):
+    cached()
+    assert cache.is_entry(folder / "kind/key.json")
+    refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    monkeypatch.setattr(Path, "open", Mock(side_effect=refused))
+    assert not cache.is_entry(folder / "kind/key.json")

@@ -85,6 +85,14 @@ def test_a_device_stays(name: str, tmp_path: Path) -> None:
     assert (link.is_symlink(), sorted(os.listdir(tmp_path))) == (True, sorted([name, "links"]))
 
 
+@NEEDS_ROOT
+def test_a_disk_is_refused(tmp_path: Path) -> None:
+    os.mknod(tmp_path / "x.exr", 0o600 | stat.S_IFBLK, os.makedev(240, 250))  # of no driver
+    with pytest.raises(PixsimError, match=r"x\.exr', a device; allowed: a file, a pipe"):
+        WRITERS["light.exr"](tmp_path / "x.exr")
+    assert stat.S_ISBLK((tmp_path / "x.exr").lstat().st_mode)
+
+
 @OF_ALL
 @pytest.mark.parametrize("is_there", [True, False])
 def test_a_link_of_the_user_is_followed_once(name: str, is_there: bool, tmp_path: Path) -> None:

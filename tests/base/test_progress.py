@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import pytest
 
 from pixsim.base import progress
@@ -111,3 +113,9 @@ def test_stages_failure_claims_no_end(capsys: pytest.CaptureFixture[str]) -> Non
     with pytest.raises(KeyboardInterrupt), stages() as stage:
         raise KeyboardInterrupt(stage("render"))
     assert capsys.readouterr().err == "[0 s] render …\n"
+
+
+def test_a_reader_that_is_gone_does_not_end_a_command() -> None:
+    stream = io.StringIO()
+    stream.close()
+    progress.writer_to(stream)("line")

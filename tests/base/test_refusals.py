@@ -49,6 +49,10 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: CameraOptions(object_distance_m=0.05).over(Camera(focal_length_mm=50)),
         "focal_length_mm = 50 .*no real image",
     ),
+    "a curve of an integer beyond any float": (
+        lambda: Pixel(quantum_efficiency=[[400, 10**400], [700, 0.5]]),
+        "quantum_efficiency: got",
+    ),
     "a record of a file": (
         lambda: Pixel("sensor.toml"),
         r"Pixel: got 'sensor\.toml'; allowed: fields by name",
@@ -70,6 +74,8 @@ TEXTS = {
     "[pixel]\nprnu = 2": "In per cent? Write prnu = 0.02.",
     "[pixel]\ndark_current = 3": "Write dark_current_e_per_s = 3, or",
     "[pixel]\npitch_um = 3,45": "Write numbers with a decimal point and without a unit",
+    "metrics = []": "metrics: got []; allowed: a list of at least 1.",
+    "[camera]\ndie_mm = true": "camera.die_mm: got True; allowed: a number or a name.",
     "[scene]\nparameters = { lux = 500 }": "State parameters as scene.lux = 500",
 }
 

@@ -75,6 +75,14 @@ def test_main_exception_sets_exit_code(
     assert "Traceback" in command("run csf --verbose")[2]
 
 
+def test_cameras_are_listed_with_what_they_are() -> None:
+    cameras = {
+        entry["name"]: entry for entry in json.loads(command("cameras --json")[1])["cameras"]
+    }
+    assert (len(cameras), cameras["Canon_EOS_R5"]["channels"]) == (55, "RGB")
+    assert all(entry["notes"] for entry in cameras.values())
+
+
 def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     cache.store_arrays("render", "a", {"x": np.zeros(1 << 20, np.uint8)})
