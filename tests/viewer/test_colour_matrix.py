@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pixsim.light.spectral import colour_matching
 from pixsim.light.standard import illuminant
 from pixsim.sensor.camera_data import camera_names, camera_sensitivities
 from pixsim.viewer.colour_matrix import (
@@ -102,19 +101,6 @@ def test_chart_has_the_xyz_of_another_program(lamp: str, atol: float) -> None:
 
 
 # --- limits
-
-
-@pytest.mark.parametrize("method", ["least_squares", "least_delta_e"])
-@pytest.mark.parametrize("lamp", ["A", "FL11"])
-def test_luther_camera_has_no_colour_error(lamp: str, method: str) -> None:
-    """Its sensitivities are mixtures of the observer's."""
-    mixture = np.array([[0.8, 0.3, 0.0], [0.1, 0.9, 0.1], [0.0, 0.1, 0.7]])
-    curves = colour_matching(STANDARD_NM) @ mixture
-    power = illuminant(lamp, STANDARD_NM)
-    responses = chart_responses(STANDARD_NM, curves, power)
-    matrix = colour_matrix(STANDARD_NM, curves, lamp, method)
-    errors = colour_errors(matrix, responses, *chart_xyz(STANDARD_NM, power))
-    np.testing.assert_allclose(errors, 0, atol=1e-6)
 
 
 def test_tables_of_other_steps_agree() -> None:
