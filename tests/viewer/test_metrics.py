@@ -287,6 +287,7 @@ ENDS: dict[str, dict[str, Any]] = {
     "ADC": {"gain_e_per_dn": ADC_AT_END_E_PER_DN, "full_well_e": 4000.0},
     "well and ADC": {},
 }
+HIGH_BLACK = {"black_level_dn": 1000, "gain_e_per_dn": 2000.0 / 3095, "full_well_e": 4000.0}
 NEAR_0 = {"black_level_dn": 0.0, "prnu": 0.02, "offset_fpn": 2e-4}
 SOFT_WELL = {
     "technology": "0.35um",
@@ -304,13 +305,14 @@ SOFT_WELL = {
         (NEAR_0 | {"read_noise_e": 25.0, "bits": 9}, 1),
         (NEAR_0 | {"read_noise_e": 20.0}, 4),
         (SMALL_WELL | ENDS["ADC"], 1),
+        (SMALL_WELL | HIGH_BLACK, 1),
         (SMALL_WELL | ENDS["well"], 4),
         (SMALL_WELL | {"bits": 7, "black_level_dn": 4.0}, 1),
         (SMALL_WELL | {"read_noise_e": 40.0, "offset_fpn": 0.01, "prnu": 0.02}, 1),
         (SMALL_WELL | SOFT_WELL, 1),
         (SMALL_WELL | {"bits": 16, "prnu": 0.02}, 4),
     ],
-    ids=["0", "0, few bits", "0, burst", "ADC", "burst at the well", "few bits", "noisy",
+    ids=["0", "0, few bits", "0, burst", "ADC", "ADC of a high black level", "burst at the well", "few bits", "noisy",
          "soft well", "burst with PRNU"],
 )  # fmt: skip
 def test_codes_at_their_ends_have_the_moments_of_frames(
