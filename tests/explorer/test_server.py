@@ -3,16 +3,13 @@
 import contextlib
 import http.client
 import json
-import os
 import re
 import signal
 import socket
 import stat
 import subprocess
-import sys
 import tempfile
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -78,10 +75,19 @@ def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
     )  # type: ignore[arg-type]
 
 
+@contextlib.contextmanager
+def opened_page(page: Any) -> Iterator[Any]:
+    """The WebSocket of the page itself, after its greeting."""
+    with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
+        opened.send(json.dumps({"token": page.token}))
+        assert json.loads(opened.recv(timeout=HANG_S))["hello"]["title"] == "csf"
+        yield opened
+
+
 @pytest.fixture(scope="module")
 def page() -> Iterator[Any]:
-    with page_of(Session("csf", (), SMALL)) as found:
-        yield found
+    with page_of(Session("csf", (), SMALL)) as served_page:
+        yield served_page
 
 
 def test_file_that_leads_to_the_page_is_private(page):
@@ -137,32 +143,21 @@ def test_wrong_token_is_refused(first, page):
 
 
 def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
-    with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
-        opened.send(json.dumps({"token": page.token}))
-        assert json.loads(opened.recv(timeout=HANG_S))["hello"]["title"] == "csf"
+    with opened_page(page) as opened:
         for bad in BAD_REQUESTS:
             opened.send(bad)
             assert "page: got" in json.loads(opened.recv(timeout=HANG_S))["error"], bad[:80]
-        opened.send(
-            json.dumps(
-                {"number": 2, "sensors": [{"preset": 0, "set": {}}], "metrics": [], "curve": False}
-            )
-        )
-        found: list[dict[str, Any]] = []
-        while not (found and found[-1].get("done")):
-            found.append(json.loads(opened.recv(timeout=HANG_S)))
-        assert [message["sure"] for message in found if "sure" in message] == [False, True]
+        opened.send(REQUEST % (2, 0, ""))
+        messages: list[dict[str, Any]] = [{}]
+        while not messages[-1].get("done"):
+            messages.append(json.loads(opened.recv(timeout=HANG_S)))
+        assert [message["sure"] for message in messages if "sure" in message] == [False, True]
 
 
 def test_silent_connections_are_few_and_end(monkeypatch):
     """Any user of the machine can connect; the open page stays served."""
     monkeypatch.setattr(server, "_TIMEOUT_S", 0.2)
-    with (
-        page_of(Session("csf", (), SMALL)) as page,
-        socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened,
-    ):
-        opened.send(json.dumps({"token": page.token}))
-        opened.recv(timeout=HANG_S)
+    with page_of(Session("csf", (), SMALL)) as page, opened_page(page) as opened:
         silent = [socket.create_connection(("127.0.0.1", page.port)) for _ in range(200)]
         for connection in silent:
             connection.settimeout(HANG_S)
@@ -187,9 +182,7 @@ def test_file_of_a_killed_server_goes_at_the_next_start(tmp_path, monkeypatch):
 def test_closed_page_ends_the_session(monkeypatch):
     monkeypatch.setattr(server, "RELOAD_S", 0.05)
     with page_of(Session("csf", (), SMALL)) as page:
-        with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
-            opened.send(json.dumps({"token": page.token}))
-            opened.recv(timeout=HANG_S)
+        with opened_page(page):
             assert page.thread.is_alive()
         page.thread.join(HANG_S)
         assert not page.thread.is_alive()
@@ -218,31 +211,20 @@ def test_command_prints_the_file_and_ends_by_an_interruption():
     assert not file.exists()
 
 
-def test_browser_gets_the_file_and_no_token(tmp_path):
+def test_browser_gets_the_file_and_no_token(monkeypatch):
     """All users of a machine see the arguments of a process."""
-    script = tmp_path / "browser"
-    script.write_text(
-        f"#!{sys.executable}\nimport sys\nprint(*sys.argv[1:], file=open('{tmp_path}/told', 'w'))\n"
-    )
-    script.chmod(0o755)
-    options = OPTIONS.replace("--no-browser", "").split()
-    environment = os.environ | {"BROWSER": f"{script} %s"}
-    running = subprocess.Popen(
-        [COMMAND, "explore", "csf", *options], env=environment, stderr=subprocess.DEVNULL
-    )
-    try:
-        deadline = time.monotonic() + HANG_S
-        while (
-            not ((told := tmp_path / "told").exists() and told.read_text().endswith("\n"))
-            and time.monotonic() < deadline
-        ):
-            time.sleep(0.05)
-        file = Path(told.read_text().strip().removeprefix("file://"))
-        _, token = address_in(file)
-        assert token not in told.read_text()
-    finally:
-        running.send_signal(signal.SIGINT)
-        running.wait(HANG_S)
+    session = Session("csf", (), SMALL)
+    opened: list[tuple[str, str]] = []
+
+    def open_browser(uri: str) -> bool:
+        opened.append((uri, address_in(Path(uri.removeprefix("file://")))[1]))
+        session.end()
+        return True
+
+    monkeypatch.setattr(server.webbrowser, "open", open_browser)
+    server.explore_until_closed(session)
+    ((uri, token),) = opened
+    assert token not in uri
 
 
 def test_command_says_what_to_install(monkeypatch):

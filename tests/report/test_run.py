@@ -4,7 +4,6 @@ says of them.
 
 from __future__ import annotations
 
-import html
 import json
 import warnings
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.looks import text_of
 
 import pixsim
 from pixsim.light.exr import write_channels
@@ -71,20 +69,6 @@ def test_read_with_camera_takes_die_from_file(rendered):
     image, camera = read_with_camera(rendered[0] / "irradiance.exr", CameraOptions())
     assert camera == pixsim.Camera(f_number=2.8)
     assert camera.die_mm == pytest.approx(image.pitch_um * 64 / 1e3)
-
-
-def test_run_notes_reach_score_page_and_terminal(rendered, tmp_path):
-    line = f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json"
-    score, err = scored(f"{line} --out {tmp_path}")
-    assert [note["id"] for note in score["notes"]] == [
-        "other_camera",
-        "white_clipped",
-        "black_level",
-    ]
-    other, bright, _ = (note["text"] for note in score["notes"])
-    assert [err.count(note) for note in (other, bright)] == [1, 1]
-    page = html.unescape(text_of(tmp_path))
-    assert all(note["text"][1:] in page for note in score["notes"])  # with a capital letter first
 
 
 # --- Pictures made elsewhere ---
