@@ -36,6 +36,7 @@ from pixsim.studies.claims import (
     dr_and_snr_db,
     findings,
     frequency_contrast_table,
+    frequency_places,
     growth_exponent,
     modes,
     prominent_maxima,
@@ -107,6 +108,10 @@ SLOW = Camera(f_number=4.0)
 ONE_LINE = np.array([550.0])
 # nm: no lens in air is fast enough to make diffraction vanish, but a wavelength can be short enough
 X_RAYS = np.array([0.01])
+HOT = Study(name="known", process={"0.35um": {"dark_current_na_per_cm2": 30.0}})
+PAPER = derive(Pixel(capacitance="paper"))
+WELL_E = PAPER.full_well_e
+HOT_E = 30 * PAPER.dark_current_e_per_s * FIGURE_2_INTEGRATION_S
 LINE_555_NM = np.where(np.arange(65) == 31, 1.0, 0.0)
 EQUAL = np.ones(1)
 
@@ -375,48 +380,87 @@ def test_mtf_terms_name_the_real_lens() -> None:
 # -------------------------------------------------------------------------------------------------------------
 
 
-def test_frequency_contrast_table_bin_centres() -> None:
-    """The mean of log frequency (contrast) over a bin is the log of its middle, as bins are of
-    equal ratio: 1 to 33.3 lp/mm in six, 0.951 downwards in eight.
-    """
-    over_frequency = np.repeat(LOG_FREQUENCY, ROWS, axis=0)
-    over_contrast = np.repeat(np.log(CONTRAST), COLUMNS, axis=1)
-    places, contrast, frequencies = frequency_contrast_table(over_frequency)
-    expected = (100 / 3) ** (np.arange(1, 12, 2) / 12)
-    np.testing.assert_allclose(csf_frequency_lp_per_mm(places), expected, rtol=1e-9)
-    np.testing.assert_allclose(np.exp(frequencies), np.tile(expected, (8, 1)), rtol=1e-9)
-    np.testing.assert_allclose(np.exp(by_frequency(over_frequency)[0]), expected, rtol=1e-9)
-    contrasts = frequency_contrast_table(over_contrast)[2]
-    np.testing.assert_allclose(np.exp(contrasts), np.tile(contrast[:, None], 6), rtol=1e-9)
-    ends = 975 / 1025 * 0.01 ** np.array([15 / 16, 1 / 16])
-    np.testing.assert_allclose(contrast[[0, -1]], ends, rtol=1e-9)
-
-
 def map_of(thresholds: list[float]) -> Array:
     """ΔE in proportion to contrast, that reaches ISO at a given contrast in each frequency bin."""
     return ISO * CONTRAST / np.repeat(thresholds, COLUMNS // 6)[None, :]
 
 
-def test_threshold_contrast_to_one_row() -> None:
-    expected = np.array([0.03, 0.1, 0.3, 0.5, 0.7, 0.9])
-    actual = threshold_contrast(map_of(expected.tolist()), ISO)
-    # The first row above the level, so up to one row late; smoothing an exponential over 4 rows
-    # raises it by 0.3 %, and near the last row, where nothing is left to smooth with, lowers it by
-    # up to a row.
-    assert (actual >= 0.995 * expected).all()
-    assert (actual[:-1] <= ROW_RATIO * expected[:-1]).all()
-    assert actual[-1] <= ROW_RATIO**2 * expected[-1]
-    assert np.isinf(threshold_contrast(map_of([0.5, 2.0] * 3), ISO)).tolist() == [False, True] * 3
+OVER_FREQUENCY = np.repeat(LOG_FREQUENCY, ROWS, axis=0)
+OVER_CONTRAST = np.repeat(np.log(CONTRAST), COLUMNS, axis=1)
+BIN_LP_PER_MM = (100 / 3) ** (np.arange(1, 12, 2) / 12)
+BIN_CONTRAST = 975 / 1025 * 0.01 ** (np.arange(15, 0, -2) / 16)
+THRESHOLD = np.array([0.03, 0.1, 0.3, 0.5, 0.7, 0.9])
+BUMP = np.exp(-((np.log(CONTRAST / 0.1) / 0.5) ** 2))  # passes ½ at 0.1 e^±0.416
+SENSOR_MAPS = [np.full((ROWS, COLUMNS), float(sensor)) for sensor in range(10)]
+MAP_CLAIMS = [
+    Claim(
+        "bins of frequency are of equal ratio, from 1 to 33.3 lp/mm",
+        lambda: csf_frequency_lp_per_mm(frequency_contrast_table(OVER_FREQUENCY)[0]),
+        BIN_LP_PER_MM,
+        rtol=1e-9,
+    ),
+    Claim(
+        "bins of contrast are of equal ratio, downwards from 0.951",
+        lambda: np.sort(frequency_contrast_table(OVER_CONTRAST)[1]),
+        np.sort(BIN_CONTRAST),
+        rtol=1e-9,
+    ),
+    Claim(
+        "the mean of log frequency over a bin is the log of its middle",
+        lambda: np.exp(frequency_contrast_table(OVER_FREQUENCY)[2]),
+        np.tile(BIN_LP_PER_MM, (8, 1)),
+        rtol=1e-9,
+    ),
+    Claim(
+        "the mean of log contrast over a bin is the log of its middle",
+        lambda: np.exp(frequency_contrast_table(OVER_CONTRAST)[2][:, 0]),
+        frequency_contrast_table(OVER_CONTRAST)[1],
+        rtol=1e-9,
+    ),
+    Claim(
+        "the mean over contrast has the same bins of frequency",
+        lambda: np.exp(by_frequency(OVER_FREQUENCY)[0]),
+        csf_frequency_lp_per_mm(frequency_places()),
+        rtol=1e-9,
+    ),
+    Claim(
+        "the threshold of a map in proportion to contrast is that at which it reaches the level",
+        lambda: threshold_contrast(map_of(THRESHOLD.tolist()), ISO),
+        THRESHOLD,
+        rtol=ROW_RATIO**2 - 1,
+        why="up to a row late; near the last row smoothing lowers it by up to another row",
+    ),
+    Claim(
+        "a map that does not reach the level has no threshold",
+        lambda: threshold_contrast(map_of([2.0] * 6), ISO),
+        [np.inf] * 6,
+    ),
+    Claim(
+        "the threshold of a bump is its first crossing",
+        lambda: threshold_contrast(np.repeat(BUMP, COLUMNS, axis=1), 0.5),
+        np.full(6, 0.1 * np.exp(-0.5 * np.sqrt(np.log(2)))),
+        rtol=ROW_RATIO - 1 + 0.005,
+        why="a row late; smoothed by 4 rows, the Gaussian passes ½ 0.5 % nearer",
+    ),
+    Claim(
+        "maps are the mean of eight sensors",
+        lambda: Evidence(
+            lit(ONE_LINE, 10.0, EQUAL, given=dict.fromkeys(THRESHOLDS, SENSOR_MAPS)), {}
+        ).maps[8.0],
+        np.full((ROWS, COLUMNS), 3.5),
+    ),
+    Claim(
+        "thirty times the dark current makes thirty times the dark charge in equation (1)",
+        lambda: dr_and_snr_db(np.array([6.5]), "paper", reference_process(HOT))[0],
+        [20 * np.log10((WELL_E - HOT_E) / np.hypot(PAPER.reset_noise_e, np.sqrt(HOT_E)))],
+        atol=1e-9,
+    ),
+]
 
 
-def test_threshold_contrast_takes_first_crossing() -> None:
-    bump = np.exp(-((np.log(CONTRAST / 0.1) / 0.5) ** 2))  # passes ½ at 0.1 e^±0.416
-    actual = threshold_contrast(np.repeat(bump, COLUMNS, axis=1), 0.5)
-    # A Gaussian of σ² = ½ 0.5² in log contrast smoothed by 4 rows is wider and lower: it passes ½
-    # 0.5 % nearer.
-    assert actual == pytest.approx(
-        np.full(6, 0.1 * np.exp(-0.5 * np.sqrt(np.log(2)))), rel=ROW_RATIO - 1 + 0.005
-    )
+@pytest.mark.parametrize("claim", MAP_CLAIMS, ids=str)
+def test_maps_and_processes(claim: Claim) -> None:
+    claim.check()
 
 
 def test_prominent_maxima_as_of_scipy() -> None:
@@ -657,23 +701,13 @@ def finding_of(name: str, **study: object) -> Finding:
 
 
 def test_findings_follow_study_process() -> None:
-    """Half of the fill factor, another law, another dark current: the rows are those of the
-    study.
-    """
+    """Half of the fill factor, and another law: the rows are those of the study."""
     half = finding_of("Fill factor at 15 µm", process={"0.35um": {"fill_factor_limit": 0.413}})
     assert (half.found, half.agrees) == ("36.5 %", False)  # 72.9 / 2
     # ((p - s)² - (p0 - s)²)/p² with s = 4.9 F and p0 = 14.54 F, as printed to 0.1 %.
     law = finding_of("Fill factor at 6.5 µm", pixel={"fill_factor_law": "inset_unlimited"})
     percent = float(law.found.removesuffix("%"))
     assert percent == pytest.approx(100 * (4.785**2 - 3.374**2) / 42.25, abs=0.05)
-
-    dark = Study(name="known", process={"0.35um": {"dark_current_na_per_cm2": 30.0}})
-    hot_db = dr_and_snr_db(np.array([6.5]), "paper", reference_process(dark))[0]
-    physics = derive(Pixel(capacitance="paper"))
-    dark_e = 30 * physics.dark_current_e_per_s * FIGURE_2_INTEGRATION_S
-    # Equation (1) of the paper with thirty times the dark charge.
-    ratio = (physics.full_well_e - dark_e) / np.sqrt(physics.reset_noise_e**2 + dark_e)
-    assert hot_db == pytest.approx(20 * np.log10(ratio), abs=1e-9)
 
 
 def test_findings_omit_rows_without_data() -> None:
@@ -682,9 +716,3 @@ def test_findings_omit_rows_without_data() -> None:
     assert table(evidence({"0.35um": 6.5})).keys() == STATEMENTS - scaling
     others = table(evidence({"0.25um": 5.0, "0.18um": 3.9})).keys()
     assert others & (scaling | {OPTIMUM, ITS_FILL_FACTOR, EIGHT, CROSS, UNIMODAL}) == scaling
-
-
-def test_evidence_maps_are_mean_of_eight_sensors() -> None:
-    maps = [np.full((ROWS, COLUMNS), float(n)) for n in range(10)]
-    result = lit(ONE_LINE, 10.0, np.ones(1), given=dict.fromkeys(THRESHOLDS, maps))
-    assert all((item == 3.5).all() for item in Evidence(result, {}).maps.values())
