@@ -281,11 +281,11 @@ def test_fit_curve_mirrored_pitches(bend: float) -> None:
 
 def test_fit_curve_ignores_missing_sensors() -> None:
     """Which of the columns are empty does not matter."""
-    few = sensors_of(parabola(PITCH_UM), 8, 0.01)
-    few[5, 2:] = np.nan
-    fit = fit_curve(PITCH_UM, few)
+    delta_e = sensors_of(parabola(PITCH_UM), 8, 0.01)
+    delta_e[5, 2:] = np.nan
+    fit = fit_curve(PITCH_UM, delta_e)
     assert fit.likeliest.design.sensors.tolist() == [8] * 5 + [2] + [8] * 10
-    for same in (few[:, ::-1], np.hstack([few, np.full((PITCH_UM.size, 3), np.nan)])):
+    for same in (delta_e[:, ::-1], np.hstack([delta_e, np.full((PITCH_UM.size, 3), np.nan)])):
         np.testing.assert_allclose(fit_curve(PITCH_UM, same).delta_e, fit.delta_e, rtol=1e-12)
 
 

@@ -72,16 +72,16 @@ ISO = 3.0
 
 
 @dataclass(frozen=True)
-class Known(StudyResult):
-    """A study whose ΔE maps are given: pitch -> one map a sensor."""
+class MapStudy(StudyResult):
+    """A study of stated ΔE maps: pitch -> one map a sensor."""
 
-    given: Mapping[float, list[Array]] = field(default_factory=dict)
+    maps: Mapping[float, list[Array]] = field(default_factory=dict)
 
     def shown_scores(self, technology: str, pitch_um: float, repeats: int) -> list[SimpleNamespace]:
         assert technology == "0.35um"
         return [
             SimpleNamespace(delta_e=item, border_um=(0.0, 0.0))
-            for item in self.given[pitch_um][:repeats]
+            for item in self.maps[pitch_um][:repeats]
         ]
 
 
@@ -91,15 +91,17 @@ def lit(
     spectrum: Array,
     camera: Camera | None = None,
     **more: object,
-) -> Known:
-    """A study in a given light."""
+) -> MapStudy:
+    """A study in a light."""
     flat = SpectralImage(
         wavelength_nm, band_width_nm, 5.3, factors=(spectrum[None], np.ones((1, 4, 4)))
     )
-    return Known(Study(name="known", iso_delta_e=ISO), (), Light(flat, camera or Camera()), **more)
+    return MapStudy(
+        Study(name="known", iso_delta_e=ISO), (), Light(flat, camera or Camera()), **more
+    )
 
 
-def daylight(longest_nm: float = 800.0) -> Known:
+def daylight(longest_nm: float = 800.0) -> MapStudy:
     nm = np.arange(400.0, longest_nm + 1, 5.0)
     return lit(nm, 5.0, 1e-3 * d65(nm))
 
@@ -116,7 +118,7 @@ LINE_555_NM = np.where(np.arange(65) == 31, 1.0, 0.0)
 EQUAL = np.ones(1)
 
 
-def chen2000(spectrum: Array | None = None) -> tuple[Known, Pixel]:
+def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, Pixel]:
     """The paper's study in daylight, or in light of a spectrum from 400 to 720 nm, (65,), and its
     pixel of 6.5 µm.
     """
@@ -124,7 +126,7 @@ def chen2000(spectrum: Array | None = None) -> tuple[Known, Pixel]:
     nm = np.arange(400.0, 721.0, 5.0)
     factors = (d65(nm) if spectrum is None else spectrum)[None], np.ones((1, 4, 4))
     light = SpectralImage(nm, 5.0, 1e3 * DIE_MM / 4, factors=factors)
-    return Known(study, (), Light(light, Camera())), pixel_of(study, "0.35um", 6.5)
+    return MapStudy(study, (), Light(light, Camera())), pixel_of(study, "0.35um", 6.5)
 
 
 def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
@@ -381,7 +383,7 @@ def test_mtf_terms_name_the_real_lens() -> None:
 
 
 def map_of(thresholds: list[float]) -> Array:
-    """ΔE in proportion to contrast, that reaches ISO at a given contrast in each frequency bin."""
+    """ΔE in proportion to contrast, that reaches ISO at a contrast in each frequency bin."""
     return ISO * CONTRAST / np.repeat(thresholds, COLUMNS // 6)[None, :]
 
 
@@ -445,7 +447,7 @@ MAP_CLAIMS = [
     Claim(
         "maps are the mean of eight sensors",
         lambda: Evidence(
-            lit(ONE_LINE, 10.0, EQUAL, given=dict.fromkeys(THRESHOLDS, SENSOR_MAPS)), {}
+            lit(ONE_LINE, 10.0, EQUAL, maps=dict.fromkeys(THRESHOLDS, SENSOR_MAPS)), {}
         ).maps[8.0],
         np.full((ROWS, COLUMNS), 3.5),
     ),
@@ -540,9 +542,9 @@ def evidence(
     # In the first sensor every other dot is worse by `second_mode`, in the second better: their
     # mean is the map.
     comb = second_mode * (np.indices((ROWS, COLUMNS)).sum(axis=0) % 2)
-    given = {pitch: [item + comb, item - comb] for pitch, item in maps.items()}
+    sensor_maps = {pitch: [item + comb, item - comb] for pitch, item in maps.items()}
     curves = {name: curve_of(name, optima_um[name], best[name]) for name in optima_um}
-    return Evidence(lit(ONE_LINE, 10.0, np.ones(1), given=given), curves)
+    return Evidence(lit(ONE_LINE, 10.0, np.ones(1), maps=sensor_maps), curves)
 
 
 GROWTH = {"DR grows roughly as √pitch", "SNR at 20 % well grows roughly as √pitch"}
@@ -565,15 +567,15 @@ STATEMENTS = {
 }
 
 
-def moved(given: Evidence, technology: str, **best: object) -> Evidence:
+def moved(reference: Evidence, technology: str, **best: object) -> Evidence:
     """With another optimum of one technology."""
-    curve = given.curves[technology]
+    curve = reference.curves[technology]
     other = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, **best)))
-    return Evidence(given.result, given.curves | {technology: other})
+    return Evidence(reference.result, reference.curves | {technology: other})
 
 
-def table(given: Evidence) -> dict[str, Finding]:
-    return {row.statement: row for row in findings(given)}
+def table(data: Evidence) -> dict[str, Finding]:
+    return {row.statement: row for row in findings(data)}
 
 
 def test_findings_good_evidence_agrees() -> None:
@@ -696,8 +698,8 @@ def test_findings_trend_uses_right_interval_ends(
 
 def finding_of(name: str, **study: object) -> Finding:
     settings = Study.model_validate({"name": "known", "iso_delta_e": ISO} | study)
-    known = evidence()
-    return table(Evidence(replace(known.result, study=settings), known.curves))[name]
+    reference = evidence()
+    return table(Evidence(replace(reference.result, study=settings), reference.curves))[name]
 
 
 def test_findings_follow_study_process() -> None:

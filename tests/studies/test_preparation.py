@@ -282,9 +282,9 @@ def test_settings_of_files_and_options_take_precedence(
 
 def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
     """In a scene whose lens follows from its focal length, a window is a smaller die."""
-    few = {"pitch": {"values_um": [8, 10, 12, 16, 20]}}
+    sizes = {"pitch": {"values_um": [8, 10, 12, 16, 20]}}
     window, die = (
-        pixsim.study(tiny(**few, **over), tmp_path / name, jobs=1).curves[0].delta_e
+        pixsim.study(tiny(**sizes, **over), tmp_path / name, jobs=1).curves[0].delta_e
         for name, over in (("window", {"window_mm": 0.9}), ("die", {"camera": {"die_mm": 0.9}}))
     )
     np.testing.assert_array_equal(window, die)

@@ -34,7 +34,7 @@ FILES = "provenance.json"  # the list of a folder's files, with the version that
 
 
 @pytest.mark.parametrize(
-    ("version", "said"),
+    ("version", "messages"),
     [
         (
             "1.0.0",
@@ -46,7 +46,7 @@ FILES = "provenance.json"  # the list of a folder's files, with the version that
     ],
 )
 def test_rows_are_kept_apart_and_their_release_named(
-    version: str, said: list[str], study: Path
+    version: str, messages: list[str], study: Path
 ) -> None:
     text = (study / FILES).read_text(encoding="utf-8")
     (study / FILES).write_text(text.replace('"pixsim": "1.0.0"', f'"pixsim": "{version}"'))
@@ -56,8 +56,8 @@ def test_rows_are_kept_apart_and_their_release_named(
     with warnings.catch_warnings(record=True, action="always") as caught:
         assert not Store(study / "results.csv").resume(lambda _: False)
     assert [
-        re.search(*pair) is not None for pair in zip(said, map(_text, caught), strict=True)
-    ] == [True for _ in said]
+        re.search(*pair) is not None for pair in zip(messages, map(_text, caught), strict=True)
+    ] == [True for _ in messages]
     assert (study / "results.csv.old").read_bytes() == before
     assert rows(study) == []
 
@@ -77,10 +77,12 @@ def test_settings_of_a_study_are_those_of_its_rows(study: Path) -> None:
     assert before[0].keys() <= now[0].keys()
     for name in ("pitch_um", "repeat", "fill_factor", "full_well_e"):
         assert [row[name] for row in now] == [row[name] for row in before]
-    both = (np.array([float(row["mean_electrons_e"]) for row in table]) for table in (now, before))
+    electrons_e = (
+        np.array([float(row["mean_electrons_e"]) for row in table]) for table in (now, before)
+    )
     # At most one of 90 pixels a side comes in for another, on light that differs by some tenths:
     # below 1e-3 of the mean.
-    np.testing.assert_allclose(*both, rtol=1e-3)
+    np.testing.assert_allclose(*electrons_e, rtol=1e-3)
 
 
 def test_every_entry_of_a_run_is_still_there() -> None:
@@ -115,10 +117,10 @@ def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
     assert (stated["schema"], SCHEMA) == (1, 2)
     camera = pixsim.Camera.model_validate(light.header["camera"])
     settings = run_settings([DATA / "run/settings.toml"], {})
-    found = pixsim.evaluate(light, camera, settings.pixel, settings.exposure, settings.display)
-    assert found.mean_delta_e == pytest.approx(stated["mean_delta_e"], rel=1e-9)
+    score = pixsim.evaluate(light, camera, settings.pixel, settings.exposure, settings.display)
+    assert score.mean_delta_e == pytest.approx(stated["mean_delta_e"], rel=1e-9)
     raw = pixsim.read_frame(DATA / "run/raw.exr")
-    np.testing.assert_array_equal(raw.dn, found.frame.dn)
+    np.testing.assert_array_equal(raw.dn, score.frame.dn)
 
 
 def test_settings_of_the_scene_beside_its_kept_light_are_named() -> None:

@@ -34,7 +34,7 @@ LINE = (
 
 
 @pytest.fixture(scope="module")
-def made() -> RunResult:
+def result() -> RunResult:
     return pixsim.run("csf", frames=2, repeats=3, **SMALL)
 
 
@@ -42,16 +42,16 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != FILE_LIST}
 
 
-def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> None:
+def test_run_writes_what_the_command_writes(result: RunResult, tmp_path: Path) -> None:
     code, out, err = command(f"{LINE} --json --out {tmp_path / 'command'}")
     assert code == 0, err
     score = json.loads(out)
-    assert score == json.loads(json.dumps(made.as_dict() | {"schema": SCHEMA}))
+    assert score == json.loads(json.dumps(result.as_dict() | {"schema": SCHEMA}))
     with command_line():  # its page names settings as options
-        made.write(tmp_path / "python")
+        result.write(tmp_path / "python")
     assert contents(tmp_path / "python") == contents(tmp_path / "command")
     values = [float(row["mean_delta_e"]) for row in rows(tmp_path / "command")]
-    assert values == score["delta_e"] == made.delta_e.tolist()
+    assert values == score["delta_e"] == result.delta_e.tolist()
     low, high = score["interval_delta_e"]
     assert low < score["sensors_mean_delta_e"] == np.mean(values) < high
 
@@ -78,11 +78,11 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
 # --- several sensors
 
 
-def test_repeats_are_sensors_of_their_own_and_the_first_is_that_of_one(made: RunResult) -> None:
+def test_repeats_are_sensors_of_their_own_and_the_first_is_that_of_one(result: RunResult) -> None:
     alone = pixsim.run("csf", **SMALL)
-    assert made.statistics[0] == alone.statistics[0]
-    np.testing.assert_array_equal(made.score.image, alone.score.image)
-    assert len(set(made.delta_e)) == 3
+    assert result.statistics[0] == alone.statistics[0]
+    np.testing.assert_array_equal(result.score.image, alone.score.image)
+    assert len(set(result.delta_e)) == 3
     assert alone.interval_delta_e is None
 
 

@@ -191,10 +191,12 @@ def synthetic() -> StudyResult:
     study = pixsim.Study(name="synthetic", display=pixsim.Display(white_cd_per_m2=1000.0))
     parts = []
     for axis, value, size_um in moved:
-        at: dict[str, Any] = {"narrow": "base", "wide": "base"} | ({axis: value} if axis else {})
+        values: dict[str, Any] = {"narrow": "base", "wide": "base"} | (
+            {axis: value} if axis else {}
+        )
         # 18.6, 20.8 and 22.8 features
         curves = map(curve, (0.35, 0.25, 0.18), (size_um, 5.2, 4.1), (0.5, 0.55, 0.6))
-        labelled = (replace(each, case=CaseLabels(at, alone=axis)) for each in curves)
+        labelled = (replace(each, case=CaseLabels(values, alone=axis)) for each in curves)
         parts.append(StudyResult(study, tuple(labelled), light))
     by_technology = tuple(part.curves[place] for place in range(3) for part in parts)
     rows = tuple(tuple(scaling_rows(part.curves)) for part in parts)

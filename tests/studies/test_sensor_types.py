@@ -159,8 +159,8 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(
     sheets: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
     path, files = sheets
-    few = {"technologies": files, "pitch": {"values_um": [4, 5, 6, 7, 8]}}
-    result = pixsim.study(path, tmp_path / "out", jobs=1, **few)
+    over = {"technologies": files, "pitch": {"values_um": [4, 5, 6, 7, 8]}}
+    result = pixsim.study(path, tmp_path / "out", jobs=1, **over)
     (tmp_path / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
     sheet(Path(files[0]), uncertainty={"full_well_e": {"sd": 3.0}})
     spreads = {"dsnu": Spread(sd=0.02), "read_noise_e": Spread(range=(15.0, 25.0))}

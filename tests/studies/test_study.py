@@ -117,9 +117,9 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
             lines += [f"[{name}]", f"value = {value}", 'confidence = "D"', 'source = "here"']
     file = tmp_path / "own.toml"
     file.write_text("\n".join(lines), encoding="utf-8")
-    few = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
+    settings = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
     curves = [
-        pixsim.study(tiny(**few, **over), tmp_path / name, jobs=1).curves[0]
+        pixsim.study(tiny(**settings, **over), tmp_path / name, jobs=1).curves[0]
         for name, over in (
             ("file", {"technologies": (str(file),)}),
             ("study", {"process": {"0.35um": NUMBERS}}),
@@ -196,8 +196,8 @@ def test_study_cached_frames_same_bytes(
     damaged is.
     """
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    few = {"values_um": PITCHES_UM[1:]}
-    study = tiny(repeats=2, pitch=few, resolution=128, **WHOLE_CHART, **frames)
+    pitch = {"values_um": PITCHES_UM[1:]}
+    study = tiny(repeats=2, pitch=pitch, resolution=128, **WHOLE_CHART, **frames)
     results = tmp_path / "out/results.csv"
 
     def bytes_of_rows() -> bytes:

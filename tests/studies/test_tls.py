@@ -35,14 +35,14 @@ def test_a_study_talks_to_its_cluster_by_tls_alone(tmp_path: Path) -> None:
         settings |= {f"tls.{end}.{name}": str(tmp_path / f"{name}.pem") for name in ("cert", "key")}
     with dask.config.set({f"distributed.comm.{name}": value for name, value in settings.items()}):
         security = distributed.Security()
-        own = {
+        options = {
             "n_workers": 1,
             "processes": False,
             "dashboard_address": None,
             "host": "tls://127.0.0.1",
             "security": security,
         }
-        with distributed.LocalCluster(**own) as cluster:
+        with distributed.LocalCluster(**options) as cluster:
             address = cluster.scheduler_address
             assert address.startswith("tls://127.0.0.1:")
             with workers_for(scheduler=address) as workers:

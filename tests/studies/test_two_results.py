@@ -49,15 +49,15 @@ def test_a_run_does_not_replace_the_rows_of_a_study(tmp_path: Path) -> None:
     run = pixsim.run("csf", pixel={"pitch_um": 20.0}, camera={"die_mm": 1.28}, **SMALL)
     for _ in range(2):
         run.write(tmp_path)
-    of_run = (tmp_path / ROWS_FILE).read_bytes()
+    run_rows = (tmp_path / ROWS_FILE).read_bytes()
     study = pixsim.study(tiny(), tmp_path, jobs=1)
     study.write(tmp_path)
-    of_study = (tmp_path / ROWS_FILE).read_bytes()
+    study_rows = (tmp_path / ROWS_FILE).read_bytes()
     with pytest.raises(PixsimError, match=r"holds results\.csv, not written by this command"):
         run.write(tmp_path)
     assert ((tmp_path / ROWS_FILE).read_bytes(), (tmp_path / f"{ROWS_FILE}.old").read_bytes()) == (
-        of_study,
-        of_run,
+        study_rows,
+        run_rows,
     )
 
 

@@ -404,6 +404,6 @@ def test_as_dict_and_csv() -> None:
 def test_few_pitches_um(
     optimum_um: float, interval_um: tuple[float | None, float | None], ends_um: tuple[float, float]
 ) -> None:
-    few = few_pitches_um(optimum_um, interval_um, (1.0, 18.0))
-    assert list(few.values()) == [2] * 12
-    np.testing.assert_allclose(list(few), np.geomspace(*ends_um, 12), rtol=1e-4)
+    sensors = few_pitches_um(optimum_um, interval_um, (1.0, 18.0))
+    assert list(sensors.values()) == [2] * 12
+    np.testing.assert_allclose(list(sensors), np.geomspace(*ends_um, 12), rtol=1e-4)

@@ -234,11 +234,11 @@ def padded(picture, pitch_um, nm, weight, f_number):
 
 def sampled(rate, sample_um, pitch_um, side_um):
     """Point sampling at the centres of the pixels."""
-    at = [
+    places = [
         np.clip((n / 2 + (np.arange(k) - (k - 1) / 2) * pitch_um / sample_um).astype(int), 0, n - 1)
         for n, k in ((n, pixel_count(n * sample_um, pitch_um)) for n in rate.shape)
     ]
-    return rate[np.ix_(*at)] * side_um**2
+    return rate[np.ix_(*places)] * side_um**2
 
 
 def at_the_middle(lamp, bands):
