@@ -47,6 +47,8 @@ def test_run_writes_what_the_command_writes(result: RunResult, tmp_path: Path) -
     assert code == 0, err
     score = json.loads(out)
     assert score == json.loads(json.dumps(result.as_dict() | {"schema": SCHEMA}))
+    assert [str(note) for note in result.notes] == [note["text"] for note in score["notes"]]
+    assert repr(result).startswith("<RunResult csf: delta_e ")
     with command_line():  # its page names settings as options
         result.write(tmp_path / "python")
     assert contents(tmp_path / "python") == contents(tmp_path / "command")

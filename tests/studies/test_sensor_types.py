@@ -166,6 +166,21 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(
     spreads = {"dsnu": Spread(sd=0.02), "read_noise_e": Spread(range=(15.0, 25.0))}
     expected = {"": {"prnu": Spread(sd=0.001)}} | dict.fromkeys(files, spreads)
     assert uncertainty_of(tmp_path / "settings.toml") == expected
+    assert load_study(tmp_path / "settings.toml").sensors == result.study.sensors
+
+
+def test_dry_run_counts_the_time_of_sensor_types(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """64 types take eight times as long as 8, beside the study itself."""
+    monkeypatch.chdir(tmp_path)
+    Path("s.toml").write_text(written(technologies=["0.35um"]), encoding="utf-8")
+    seconds = [
+        json.loads(command(f"study s.toml --dry-run --json{more}")[1])["estimate"]["seconds"]
+        for more in ("", " --uncertainty 8", " --uncertainty 64")
+    ]
+    assert seconds[2] - seconds[0] == pytest.approx(8 * (seconds[1] - seconds[0]), rel=1e-9)
+    assert seconds[1] > seconds[0]
 
 
 # --- of a comparison
@@ -237,6 +252,14 @@ def test_conditions_average_the_types_of_a_pair(tmp_path: Path) -> None:
     ]
     expected = 0.375 * differences[1] + 0.125 * differences[2]
     np.testing.assert_allclose(differences[0], expected, rtol=1e-9)
+
+
+def test_a_pair_without_an_unknown_number_has_no_types(tmp_path: Path) -> None:
+    files = [noisy_sheet(tmp_path / "a.toml", 25.0), unsure(tmp_path / "b.toml", 10.0, 30.0)]
+    files += [noisy_sheet(tmp_path / "c.toml", 9.0)]
+    result = pixsim.compare(files, uncertainty=8, **PAIR)
+    assert [pair.names for pair in result.uncertainty] == [("a", "b")]
+    assert [note.id for note in result.notes if "a and c" in note] == ["no_effect"]
 
 
 def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:

@@ -105,6 +105,20 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: prepare(tiny(pitch={"values_um": [6, 7, 8, 9, 1357]})),
         r"1356\.8 µm",
     ),
+    "ends of a range": (
+        lambda: prepare(tiny(pitch={"values_um": None, "min_um": 20.0})),
+        r"pitch\.max_um.*above 20",
+    ),
+    "a sheet beside a technology": (
+        lambda: prepare(
+            tiny(
+                technologies=("0.35um", "sheet"),
+                sensors={"sheet": {"pitch_um": 3.0} | SHEET},
+                pitch={"values_um": None},
+            )
+        ),
+        r"pitch\.min_um",
+    ),
     "an unknown technology": (lambda: prepare(tiny(technologies=("0.3um",))), "0.3um"),
     "one technology twice": (
         lambda: prepare(tiny(technologies=("0.35um", "0.35um"))),
@@ -166,6 +180,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     # runs
     "no sensors": (lambda: pixsim.run("csf", repeats=0), "repeats: got 0"),
+    "too many sensors": (lambda: pixsim.run("csf", repeats=10_001), "repeats: got 10001"),
     "too many frames": (lambda: pixsim.run("csf", frames=1000), "frames: got 1000"),
     "bits of a picture": (
         lambda: check_raw(

@@ -55,6 +55,7 @@ def test_ladder_of_a_chart_climbs_to_the_film_of_a_run(tmp_path: Path) -> None:
     assert files >= {name for name in FILES if not name.endswith(".pdf")}
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert len(summary["ladder"]) == 3
+    assert "1 cases fail" in repr(accuracy)
 
 
 @pytest.mark.parametrize(("error", "is_sure"), [(0.001, True), (0.004, False), (math.nan, False)])
