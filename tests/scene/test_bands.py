@@ -151,26 +151,6 @@ def test_bands_of_a_smooth_lamp_are_uniform(lamp: Spectrum) -> None:
     np.testing.assert_array_equal(bands.wavelength_nm, [362.5, *range(370, 821, 10), 827.5])
 
 
-def test_shares_within_a_band_follow_the_light() -> None:
-    """Ten parts at their centroids hold the first moment of the light: linear responses are
-    exact, but for cells of 1/8 nm.
-    """
-    lamp = spectrum(np.arange(360, 831), RNG.uniform(0, 1, 471) ** 8)
-    bands = place_bands([lamp], NONE, DETECTORS, TOLERANCE)
-    np.testing.assert_allclose(bands.shares.sum(axis=1), 1, rtol=1e-13)
-
-    light = fine(lamp)
-    first = np.searchsorted(FINE_NM, bands.edges_nm[:-1])
-    centroid_nm = np.add.reduceat(light * FINE_NM, first) / np.add.reduceat(light, first)
-    np.testing.assert_allclose(bands.mean(lambda nm: nm), centroid_nm, rtol=0, atol=0.01)
-
-    # The centroid is the wavelength of the band where it is 1 nm off its middle.
-    is_near = np.abs(centroid_nm - (bands.edges_nm[:-1] + bands.edges_nm[1:]) / 2) < 1
-    assert 0 < is_near.sum() < is_near.size
-    far_nm = centroid_nm[~is_near]
-    np.testing.assert_allclose(bands.wavelength_nm[~is_near], far_nm, rtol=0, atol=0.01)
-
-
 LINES_NM = [360.0, 360.5, 361.0, 364.5, 365.0, 365.125, 374.99, 375.0, 532.0, 546.07, 632.8]
 
 LINES_NM += [655.0, 824.9, 825.0, 829.5, 830.0, *RNG.uniform(360, 830, 8).round(2).tolist()]
@@ -208,15 +188,6 @@ def test_bands_conserve_energy_and_signals(name: str) -> None:
     is_at_end = min(centroid_nm - 360, 830 - centroid_nm) < 4 * lamp.step_nm
     reach_nm = (2.25 if is_at_end else 0.25) * lamp.step_nm
     assert energy @ centroids_nm / energy.sum() == pytest.approx(centroid_nm, abs=reach_nm)
-
-
-@pytest.mark.parametrize(("first_nm", "second_nm"), [(541, 544), (601.25, 604.0), (650.03, 654.97)])
-def test_bands_with_lines_of_two_lamps_are_split(first_nm: float, second_nm: float) -> None:
-    lamps = [line(first_nm), line(second_nm, 0.5)]
-    bands = place_bands(lamps, NONE, DETECTORS, TOLERANCE)
-    assert 1 <= bands.width_nm.min() < 10
-    for lamp in lamps:
-        check_conserved(lamp, bands, RESPONSES)
 
 
 def test_bands_are_narrow_where_a_response_is_steep() -> None:
@@ -401,10 +372,9 @@ def furnace(variant: str, pulses: list[Pulse]) -> np.ndarray:
 
 @VARIANTS
 def test_pulses_of_a_pass_add_no_spectral_noise(variant: str) -> None:
-    """Every sample has one wavelength in each pulse, at which lamp over pulse is the same: float32
-    and its sums are left, and those of Mitsuba's inversion of the response. Adjoining pulses of
-    bands would have noise.
-    """
+    # Every sample has one wavelength in each pulse, at which lamp over pulse is the same: float32
+    # and its sums are left, and those of Mitsuba's inversion of the response. Adjoining pulses of
+    # bands would have noise.
     result, bands = fitted(packaged("fl11"), MACBETH, 1e-2)
     picture = furnace(variant, [result.pulses[index] for index in result.passes[-1]])
     np.testing.assert_allclose(picture.mean(axis=(0, 1)), 1, rtol=1e-5)

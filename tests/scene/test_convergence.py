@@ -1,21 +1,31 @@
-"""Rendering to a noise target: the reported noise is that of independent renders."""
+"""Rendering to a noise target: the reported noise is that of independent renders.
+
+Cached renders: only equal light shares an entry, and the bytes are those of new renders.
+"""
 
 from __future__ import annotations
 
 import math
 import os
+import shutil
 import signal
 import time
+import warnings
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.edits import load
+from helpers.commands import command
+from helpers.edits import VARIANT, load
 
 import pixsim
-from pixsim.base import mapped
+from pixsim.base import cache, mapped
+from pixsim.base.cache import LIMIT_VARIABLE
+from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.progress import no_stage
 from pixsim.scene import convergence, film
 from pixsim.scene.convergence import (
     NO_TIME_LIMIT_S,
@@ -26,20 +36,23 @@ from pixsim.scene.convergence import (
 )
 from pixsim.scene.guard import child
 from pixsim.scene.job import OutOfTimeError
-from pixsim.scene.plan import make_plan
-from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
+from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.scene.renderer import KIND, LEVEL_FACTOR, CachedRenders, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
+from pixsim.studies.run import prepare, render_run
+from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 
 PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
 
 LOOSE = 1e9  # the first pair is enough
+
 SHORT = pixsim.Exposure(integration_s=2e-3)
 
 
-@cache
+@lru_cache
 def prepared(name: str) -> tuple[Any, ...]:
     scene = load(name, resolution=32, spp=4)
     camera = scene.camera()
@@ -61,7 +74,7 @@ def until(
 
 @pytest.mark.parametrize("name", ["csf", "macbeth"])
 def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where sums and pictures lie changes no bit of the light and its noise."""
+    # Where sums and pictures lie changes no bit of the light and its noise.
     in_memory, noise = until(LOOSE, name=name)
     monkeypatch.setattr(mapped, "MAX_MEMORY_BYTES", 0)
     in_file, noise_in_file = until(LOOSE, name=name)
@@ -94,11 +107,11 @@ class Noisy:
 
 
 def test_noise_of_known_noise_is_unbiased(monkeypatch: pytest.MonkeyPatch) -> None:
-    """White noise with one pixel per cell: its fraction of sensor noise is σ_e/√(N V)."""
+    # White noise with one pixel per cell: its fraction of sensor noise is σ_e/√(N V).
     renders = Noisy(monkeypatch, 0.1)
     pixel = pixsim.Pixel(pitch_um=2713.6 / 32, fill_factor=1.0, full_well_e=1e6)
     exposure = pixsim.Exposure(integration_s=1e-4)
-    for target in (LOOSE, 2e-2):
+    for target in (LOOSE, 5e-2):
         image, noise = until(target, pixels=[pixel], exposure=exposure)
         mean_e = electrons_e(image, pixel, exposure)
         relative = 0.1 / math.sqrt(image.header["spp"])
@@ -111,9 +124,8 @@ def test_noise_of_known_noise_is_unbiased(monkeypatch: pytest.MonkeyPatch) -> No
 
 # --- When rendering ends ---
 def test_render_until_lower_target_renders_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not much more than needed: noise² goes with 1/samples, and the last pair has at most four
-    times the samples before.
-    """
+    # Not much more than needed: noise² goes with 1/samples, and the last pair has at most four
+    # times the samples before.
     renders = Noisy(monkeypatch, 0.1)
     first = until(LOOSE)[1].fraction
     spent = []
@@ -142,27 +154,12 @@ def test_render_until_equal_seeds_are_bit_identical() -> None:
     assert not np.array_equal(first.planes, other.planes)
 
 
-@pytest.mark.parametrize("full", [False, True])
-def test_rate_of_pulses_equals_ideal_rate(full: bool) -> None:
-    """The rate from pulses equals that from the image, with factors or with all bands."""
-    scene, camera, _ = prepared("macbeth")
-    renderer = Renderer(scene, camera, make_plan(scene, camera, PIXEL, full=full), 0)
-    pictures, spp = renderer.run(0)
-    image = renderer.image(pictures, spp)
-    assert (image.factors is None) == full
-    rate = ideal_rate(image, derive(PIXEL))
-    for part in (np.s_[0:32, 0:32], np.s_[8:24, 4:30]):
-        part_rate = convergence._rate(renderer, pictures, derive(PIXEL), part)
-        np.testing.assert_allclose(part_rate, rate[part], rtol=1e-6)
-
-
 @pytest.mark.parametrize("tolerance_delta_e", [10.0, 1.0, 0.1, None])
 def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated(
     tolerance_delta_e: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """White noise of σ in each of N samples makes σ √(2/πN) of mean |difference|, and halves differ
-    by twice that.
-    """
+    # White noise of σ in each of N samples makes σ √(2/πN) of mean |difference|, and halves differ
+    # by twice that.
     Noisy(monkeypatch, 0.1)
 
     def delta_e_between(image: pixsim.SpectralImage, other: pixsim.SpectralImage) -> float:
@@ -209,7 +206,7 @@ def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim
 
 
 def test_render_until_noise_matches_independent_renders() -> None:
-    """The RMS over 12 seeds; each side scatters by 3 to 5 % from set to set of noisy cells."""
+    # The RMS over 12 seeds; each side scatters by 3 to 5 % from set to set of noisy cells.
     renders = [until(LOOSE, seed) for seed in range(12)]
     electrons = np.array([electrons_e(image, PIXEL, SHORT) for image, _ in renders])
     mean_e = electrons.mean(axis=0)
@@ -280,15 +277,12 @@ def test_progress_rises_and_says_the_noise() -> None:
     """Over pairs and levels; nothing is known during the first pair."""
     target = until(LOOSE)[1].fraction / 6
     reports: list[tuple[float, str]] = []
-    runs = until(target, progress=lambda done, note: reports.append((done, note)))[1].runs
-    shares = [done for done, _ in reports]
-    assert shares == sorted(shares)
+    until(target, progress=lambda done, note: reports.append((done, note)))
+    shares, notes = zip(*reports, strict=True)
+    assert list(shares) == sorted(shares)
     assert 0.5 < shares[-1] <= 1
-    first_note, *notes = dict.fromkeys(note for _, note in reports)
-    assert (first_note, len(notes)) == ("", runs // 2 - 1)
-    noises = [float(note.split()[3]) for note in notes]
-    assert noises == sorted(noises, reverse=True)
-    assert noises[-1] > target
+    assert notes[0] == ""
+    assert float(notes[-1].split()[3]) > target
 
 
 def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -312,3 +306,146 @@ def test_measured_parts_are_a_sample_of_the_pixels(shape: tuple[int, int]) -> No
     assert len(parts) == 16
     assert covered.max() == 1
     assert covered.sum() * 20**2 == pytest.approx(convergence.MEASURED, rel=0.2)
+
+
+# Two renders are enough.
+TABLES = {
+    "render_noise": 100.0,
+    "resolution": 32,
+    "pixel": {"pitch_um": 84.8},
+    "display": {"dots": 32},
+    "scene": {"spp": 4},
+}
+
+# --- Cached renders ---
+
+RUN = (
+    f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100"
+    " --pixel.pitch-um 84.8 --out"
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def rendered(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The indices of the renders that no cache holds."""
+    indices: list[int] = []
+    render = Renderer._rendered
+
+    def counted(self: Renderer, index: int, *arguments: Any) -> Any:
+        indices.append(index)
+        return render(self, index, *arguments)
+
+    monkeypatch.setattr(Renderer, "_rendered", counted)
+    return indices
+
+
+def run(out: Path) -> dict[str, bytes]:
+    """Return the bytes of all files of a run, without its times."""
+    code, _, err = command(RUN, out)
+    assert code == 0, err
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "pixsim.json"}
+
+
+def test_render_cache_empty_warm_or_off_gives_equal_bytes(
+    tmp_path: Path, rendered: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cold = run(tmp_path / "out")
+    assert len(rendered) == len(cache.entries(KIND)) == 2
+    assert run(tmp_path / "out") == cold
+    assert len(rendered) == 2
+    monkeypatch.setenv(LIMIT_VARIABLE, "0")
+    assert run(tmp_path / "out") == cold
+    assert len(rendered) == 4
+
+
+def light(full: bool = False, **settings: Any) -> tuple[bytes, str]:
+    """Return the light of a run, bit for bit, and its header."""
+    run_settings = Run.model_validate(merge(TABLES, settings))
+    with warnings.catch_warnings(action="ignore"):
+        prepared = prepare("csf", run_settings, full=full, variant=VARIANT)
+        image = render_run(prepared, no_stage).irradiance
+    return image.planes.tobytes(), repr(image.header)
+
+
+def test_render_damaged_cache_gives_equal_bytes(folder: Path, rendered: list[int]) -> None:
+    cold = light()
+    path = sorted(folder.glob("render/*.npz"))[1]
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert light() == light() == cold
+    assert rendered == [0, 1, 1]
+
+
+@pytest.fixture(scope="module")
+def first_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cache after a run."""
+    folder = tmp_path_factory.mktemp("first") / "cache"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(FOLDER_VARIABLE, str(folder))
+        light()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("settings", "renders"),
+    [
+        ({"seed": 1}, 2),
+        ({"camera": {"f_number": 8}}, 2),
+        ({"scene": {"spp": 64}}, 2),
+        ({"scene": {"emitter_scale": 0.02}}, 2),
+        ({"full": True}, 2),
+        ({"render_noise": 2}, 4),  # those before are extended
+        ({"pixel": {"pitch_um": 60}}, 0),
+        ({"pixel": {"well_limit": "swing"}, "exposure": {"integration_s": 0.01}}, 0),
+        ({"display": {"gamma": 1.8, "white_cd_per_m2": 800}}, 0),
+    ],
+    ids=str,
+)
+def test_light_is_rendered_anew_for_the_settings_that_change_it(
+    settings: dict[str, Any], renders: int, folder: Path, first_cache: Path, rendered: list[int]
+) -> None:
+    shutil.copytree(first_cache, folder)
+    light(**settings)
+    assert bool(rendered) == bool(renders)
+    assert renders != 4 or rendered[0] == 2
+
+
+@pytest.mark.usefixtures("folder")
+def test_size_of_a_jobs_renders_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Entries from an earlier run count as much as new ones."""
+    monkeypatch.setenv(LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
+    for _ in range(2):
+        job = CachedRenders("job")
+        for index in range(6):
+            if job.find(index, 0) is None:
+                job.store(index, 0, [np.zeros((512, 512, 1), np.float32)], 16)
+        assert len(cache.entries(KIND)) == 4
+
+
+def test_time_limit_is_reproduced(rendered: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cached renders take no time, so a clock would let each repetition render more. A new render
+    takes a second here.
+    """
+    monkeypatch.setattr(convergence.time, "monotonic", lambda: float(len(rendered)))
+    scene = load("csf", resolution=32)
+    camera = scene.camera()
+    job = (scene, camera, make_render_plan(scene, camera), [pixsim.Pixel(pitch_um=84.8)])
+
+    def renders(max_seconds: float) -> tuple[int, bytes]:
+        options: dict[str, Any] = {"render_noise": 1e-6, "max_seconds": max_seconds}
+        with pytest.warns(UserWarning, match="ended at its time limit"):
+            image, noise = render_until(*job, pixsim.Exposure(), use_cache=True, **options)
+        return noise.runs, image.planes.tobytes()
+
+    first = renders(4.0)
+    count = len(rendered)
+    assert [renders(4.0) for _ in range(3)] == [first] * 3
+    assert len(rendered) == count >= 2
+    assert renders(5.0)[0] > first[0]

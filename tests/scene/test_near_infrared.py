@@ -25,21 +25,27 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 
 CASES = Path(__file__).parents[1] / "data/cases"
+
 CAMERA = Camera(f_number=4.0)
+
 FLAT = Pixel(
     technology="4t-bsi",
     pitch_um=10.0,
     quantum_efficiency=[[300, 0.5], [1100, 0.5]],
     stack={"enabled": False},
 )
+
 PLANE = (
     '<transform name="to_world"><scale value="3"/><lookat origin="0,0,1" target="0,0,0"'
     ' up="0,1,0"/></transform>'
 )
+
 BLACK_BODY = (
     '<spectrum type="blackbody" name="radiance"><float name="temperature" value="2856"/></spectrum>'
 )
+
 UNIFORM = '<spectrum name="radiance" value="300:1, 1100:1"/>'
+
 NM = np.linspace(300, 1100, 80_001)
 
 
@@ -85,9 +91,8 @@ def test_lines_have_the_electrons_of_the_closed_form(at_nm: float, tmp_path: Pat
 
 
 def test_black_body_has_no_step_at_830_nm(tmp_path: Path) -> None:
-    """As Planck has it; the curvature of its logarithm changes by 2e-4 at 600 nm, and a step of
-    0.03 % would change it by as much.
-    """
+    # As Planck has it; the curvature of its logarithm changes by 2e-4 at 600 nm, and a step of 0.03
+    # % would change it by as much.
     _, image = rendered(scene_of(tmp_path, lamp(BLACK_BODY)))
     nm = image.wavelength_nm
     power = image.mean_spectrum() * image.band_width_nm
@@ -107,9 +112,8 @@ def test_black_body_has_no_step_at_830_nm(tmp_path: Path) -> None:
 def test_surfaces_of_many_passes_have_the_electrons_of_the_closed_form(
     variant: str, full: bool, tmp_path: Path
 ) -> None:
-    """A reflectance that rises steeply, against ∫ρ L λ/hc: the plan's tolerance is 1e-3, and the
-    noise of 64 cells 3e-4. Passes are traced together, or one by one.
-    """
+    # A reflectance that rises steeply, against ∫ρ L λ/hc: the plan's tolerance is 1e-3, and the
+    # noise of 64 cells 3e-4. Passes are traced together, or one by one.
     steps = {300: 0.05, 600: 0.1, 620: 0.9, 700: 0.2, 720: 0.8, 900: 0.1, 920: 0.9, 1100: 0.3}
     table = ", ".join(f"{nm}:{value}" for nm, value in steps.items())
     body = wall(f'<spectrum name="reflectance" value="{table}"/>')
@@ -150,14 +154,6 @@ def test_surfaces_that_end_are_refused_or_what_the_user_says(
     assert plan.light.bands.edges_nm[-1] == 830
 
 
-def test_a_metal_that_ends_is_what_mitsuba_makes_of_it(tmp_path: Path) -> None:
-    body = wall("", plugin="conductor")
-    with pytest.raises(pixsim.PixsimError, match="the metal of 'paint'"):
-        rendered(scene_of(tmp_path, body))
-    plan, _ = rendered(scene_of(tmp_path, body, beyond_tables="hold"))
-    assert any("the metal of 'paint'" in note for note in plan.warnings)
-
-
 # --- Light that ends ---
 
 
@@ -176,9 +172,8 @@ def percent_in(warning: str, before: str) -> float:
 
 @pytest.mark.parametrize(("end_nm", "percent"), [(830.0, 24.6), (1100.0, 49.5)])
 def test_light_that_a_sky_lacks_is_said_with_its_share(end_nm: float, percent: float) -> None:
-    """Of a black body of 5772 K beyond 720 nm, in an equal response from 360 nm on; cells of 10 nm
-    move it by .1 %. A filter keeps it out.
-    """
+    # Of a black body of 5772 K beyond 720 nm, in an equal response from 360 nm on; cells of 10 nm
+    # move it by .1 %. A filter keeps it out.
     scene = pixsim.load_scene(CASES / "4-03-sunsky-ends-at-720/sky.xml", variant=VARIANT)
     (warning,) = warnings_of(scene, (360, 0.5), (end_nm, 0.5))
     assert percent_in(warning, "K), ") == pytest.approx(percent, abs=0.15)
@@ -186,6 +181,7 @@ def test_light_that_a_sky_lacks_is_said_with_its_share(end_nm: float, percent: f
 
 
 SQUARES = 830**2 - 360**2
+
 LAMPS = {
     "420:1, 640:1": {"begins at 420": 420**2 - 360**2, "ends at 640": 830**2 - 640**2},
     "360:1, 830:1": {},

@@ -82,6 +82,10 @@ def ball(bsdf: str, inside: str) -> str:
     return f'<shape type="sphere"><bsdf type="{bsdf}">{inside}</bsdf></shape>'
 
 
+def shape(inside: str) -> str:
+    return f'<shape type="sphere">{inside}</shape>'
+
+
 def file(name: str) -> str:
     return f'<string name="filename" value="{name}"/>'
 
@@ -173,6 +177,15 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no such chart": (lambda _: load("flat", chart="nowhere.exr"), r"'nowhere\.exr', which does not exist"),
     "half a chart": (lambda folder: pixsim.render(load("flat", chart=str(torn(folder)), resolution=8)), r"torn\.exr"),
+    "a number beyond 1e30": (loaded(shape('<float name="radius" value="1e31"/>')), "sphere.radius: got 1e"),
+    "a colour that is none": (loaded(ball("diffuse", '<rgb name="reflectance" value="nan, 0, 0"/>')), "reflectance: got nan"),
+    "a flat transform": (loaded(shape('<transform name="to_world"><scale value="0"/></transform>')), "invertible"),
+    "a reference to nothing": (loaded(shape('<ref id="nowhere"/>')), "'nowhere', which does not exist"),
+    "a table in µm": (lambda _: load(CASES / "31-xml-variants/spd_um.xml"), "seem to be in µm"),
+    "a reflectance in per cent": (
+        lambda _: make_render_plan(load(CASES / "39-xml-reflectance-percent/full.xml")),
+        "got 50 in bsdf",
+    ),
     # Its light
     "no lamp": (lambda folder: make_plan(loaded(ball("diffuse", ""))(folder)), "no emitter with light"),
     "a lamp that is too cold": (

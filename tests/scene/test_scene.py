@@ -9,26 +9,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.edits import END, edited, lens_sr, lens_xml, load, scene_file, sensor_xml
+from helpers.edits import lens_xml, load, scene_file, sensor_xml
 from helpers.lamps import D65_LUMINANCE, d65_radiance
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.light.exr import write_channels
 from pixsim.light.spectral import grid_nm
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
-from pixsim.scene import charts, illuminance
-from pixsim.scene.contents import asset_files, find_lamp, find_lamps, white_spectra
+from pixsim.scene import illuminance
+from pixsim.scene.contents import find_lamp, find_lamps, white_spectra
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import Tree
 
 NAMES = ["cornell_box", "csf", "flat", "line_lamp", "macbeth", "siemens_star", "slanted_edge"]
+
 NAMES += ["still_life", "target", "yard"]
+
 RAW = '<boolean name="raw" value="true"/>'
+
 READING = "scalar_spectral"
+
 BALL = '<shape type="sphere"><float name="radius" value="{}"/></shape>'
 
 
@@ -114,22 +117,13 @@ def test_lux_of_one_lamp_holds_with_another_spectrum(tmp_path: Path) -> None:
     assert scene.white_cd_per_m2 == pytest.approx(500 / math.pi, rel=1e-8)
 
 
-@pytest.mark.parametrize("luminance", [0.01, 1e6])
-def test_luminance_sets_the_scale_of_the_emitter(luminance: float) -> None:
-    scene = load("flat", luminance_cd_per_m2=luminance)
-    scale = float(scene.parameters["emitter_scale"])
-    assert scale == pytest.approx(luminance / D65_LUMINANCE, rel=1e-4)
-    lamp = find_lamp(scene.parse(), READING)
-    assert lamp is not None
-    assert lamp.luminance_cd_per_m2 == pytest.approx(luminance, rel=1e-6)
-
-
 # --- The camera ---
-
 FOV, *PUPIL = lens_xml().partition("/>")
+
 FIELDS = {"fov": FOV + "/>"} | {
     length: f'<string name="focal_length" value="{length}"/>' for length in ("50mm", "35")
 }
+
 FIELDS |= {
     axis: f'{FOV}/><string name="fov_axis" value="{axis}"/>'
     for axis in ("y", "diagonal", "smaller", "larger")
@@ -139,7 +133,7 @@ FIELDS |= {
 @pytest.mark.parametrize("size", [(60, 40), (40, 60), (50, 50)])
 @pytest.mark.parametrize("field", FIELDS)
 def test_field_of_view_matches_mitsuba(field: str, size: tuple[int, int], tmp_path: Path) -> None:
-    """But for the focal length, which is rounded to six digits."""
+    # But for the focal length, which is rounded to six digits.
     path = scene_file(tmp_path, sensor_xml(FIELDS[field] + PUPIL[1], size=size))
     mi = import_mitsuba(READING)
     expected_deg = mi.traverse(mi.load_file(str(path)).sensors()[0])["x_fov"]
@@ -158,6 +152,7 @@ def test_a_lens_of_numbers_keeps_its_view_on_any_die(die_mm: float | None, tmp_p
 
 
 LENS_VALUES = {"focal_length_mm": 6.0, "f_number": 2.8, "object_distance_m": 2.0}
+
 LENS_VALUES |= {"transmittance": 0.9, "die_mm": 5.0}
 
 
@@ -177,39 +172,6 @@ def test_an_option_or_a_lens_replaces_an_aperture_that_no_thin_lens_has(tmp_path
     phone = LensOptions(file="phone")
     expected = load("csf").camera(CameraOptions(object_distance_m=0.8), phone)
     assert scene.camera(lens=phone) == expected
-
-
-def test_for_camera_chart_fills_view() -> None:
-    camera = pixsim.Camera(focal_length_mm=6, f_number=2, die_mm=5, object_distance_m=2.5)
-    nodes = {node.plugin: node for node in load("csf").for_camera(camera).nodes}
-    sensor = nodes["thinlens"]
-    lens = [sensor[name] for name in ("fov", "aperture_radius", "focus_distance")]
-    assert lens == pytest.approx([camera.fov_deg, 0.0015, 2.5], rel=1e-6)
-    half_width_m = abs(nodes["rectangle"]["to_world"][0][0])
-    expected_m = 2.5 * np.tan(np.radians(camera.fov_deg / 2))
-    assert half_width_m == pytest.approx(expected_m, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("lens", "highest_lp_per_mm"),
-    [({}, 25.0), ({"focal_length_mm": 6, "object_distance_m": 2.5}, 25.0)],
-)
-def test_frequencies_of_the_chart_hold_on_the_sensor(
-    lens: dict[str, float], highest_lp_per_mm: float
-) -> None:
-    """Cell means of the chart's formula, times the lens's factor; 25 lp/mm are 3.8 samples a cycle.
-
-    16 samples a cell, and bilinear texels: the strongest rows have a contrast of 0.95.
-    """
-    scene = load("csf", resolution=256, max_lp_per_mm=highest_lp_per_mm)
-    camera = pixsim.Camera(**lens)
-    image = pixsim.render(scene, camera)
-    x = (np.arange(256 * 8) + 0.5) / (256 * 8)
-    rows = ((np.arange(256) + 0.5) / 256)[:, None]
-    values = charts.csf_value(x, rows, highest_lp_per_mm=highest_lp_per_mm)
-    expected_lx = 1000 * values.reshape(256, 256, 8).mean(axis=2) * lens_sr(image, camera)
-    error = image.illuminance_lx() / expected_lx - 1
-    assert np.sqrt(np.mean(error**2)) < 0.01
 
 
 @pytest.mark.parametrize(("name", "fov_deg"), [("wide", 40), ("narrow", 20)])
@@ -244,12 +206,16 @@ def line(low: float, high: float) -> str:
 BLACK_BODY = (
     '<spectrum type="blackbody" name="radiance"><float name="temperature" value="5000"/></spectrum>'
 )
+
 REGULAR = """<spectrum type="regular" name="radiance">
     <float name="wavelength_min" value="360"/><float name="wavelength_max" value="830"/>
     <string name="values" value="0, 470"/>
 </spectrum>"""
+
 RGB = '<rgb name="radiance" value="{}"/>'
+
 NM = grid_nm()
+
 # Planck's law with SI constants, W m⁻² sr⁻¹ nm⁻¹
 PLANCK = 1.191042972e20 / NM**5 / np.expm1(1.438776877e7 / (NM * 5000))
 
@@ -274,7 +240,7 @@ def state_of(folder: Path, *emitters: str) -> Tree:
     ],
 )
 def test_spectrum_of_a_lamp(emitter: str, radiance: np.ndarray, tmp_path: Path) -> None:
-    """In float32 and five digits of D65's scale; an RGB emitter's colour is times D65."""
+    # In float32 and five digits of D65's scale; an RGB emitter's colour is times D65.
     lamp = find_lamp(state_of(tmp_path, emitter), READING)
     assert lamp is not None
     assert lamp.spectrum is not None
@@ -332,6 +298,7 @@ WHITE_LAMPS = [
     area(REGULAR, "c"),
     area(line(9, 9)),
 ]
+
 SAME_LAMPS = [area(d65_xml(3), "a"), area(d65_xml(1), "b")]
 
 
@@ -372,17 +339,6 @@ def test_wrong_texels_raise_with_their_position(wrong: float, tmp_path: Path) ->
         make_render_plan(scene, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)
 
 
-def test_maps_may_be_negative(tmp_path: Path) -> None:
-    file = f'{RAW}<string name="filename" value="bump.exr"/>'
-    bump = (
-        f'<bsdf type="bumpmap"><texture type="bitmap">{file}</texture><bsdf type="diffuse"/></bsdf>'
-    )
-    write_channels(tmp_path / "bump.exr", {"Y": np.full((4, 4), -1.0)}, {})
-    path = edited(tmp_path, "macbeth", (END, f'<shape type="sphere">{bump}</shape>'))
-    has_light = {Path(file.path).name: file.has_light for file in asset_files(load(path).parse())}
-    assert has_light["bump.exr"] is False
-
-
 # --- The content hash ---
 
 
@@ -409,6 +365,7 @@ PAINTS = (
     '<shape type="sphere"><ref id="a"/></shape><shape type="disk"><ref id="b"/></shape>'
     '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>'
 )
+
 NEAR = '<transform name="to_world"><translate x="0.0000001"/></transform>'
 
 

@@ -15,14 +15,15 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.exr import write_channels
-from pixsim.scene.guard.assets import spectrum_value
 from pixsim.scene.guard.inspector import open_scene
-from pixsim.scene.packaged import packaged_folder
 from pixsim.scene.plan import Plan, make_render_plan
 
 CASES = Path(__file__).parents[1] / "data/cases"
+
 CONSTANT = '<emitter type="constant"/>'
+
 BALL = '<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>'
+
 LAMP = '<emitter type="constant"><spectrum name="radiance" filename="{}"/></emitter>'
 
 
@@ -74,23 +75,18 @@ def test_tables_that_are_no_spectrum_are_refused(content: str, words: str, tmp_p
         text_of(tmp_path, LAMP.format("a.spd"))
 
 
-def test_packaged_spectra_have_their_names_and_the_scenes_files_come_first(tmp_path: Path) -> None:
-    lamp = LAMP.format("spectra/led_850nm.spd")
-    assert spectrum_value(packaged_folder() / "spectra/led_850nm.spd") in text_of(tmp_path, lamp)
-    (tmp_path / "spectra").mkdir()
-    (tmp_path / "spectra/led_850nm.spd").write_text("400 1\n500 1\n", encoding="utf-8")
-    assert 'value="400:1, 500:1"' in text_of(tmp_path, lamp)
-
-
 # --- Shares of light ---
-
 TABLE = '<spectrum name="reflectance" value="360:{0}, 830:{0}"/>'
+
 UNIFORM = '<texture type="uniform" {}><float name="value" value="{{0}}"/></texture>'
+
 PAINT = BALL.format('<ref name="reflectance" id="paint"/>')
+
 PICTURE = (
     '<texture type="bitmap" name="{}"><string name="filename" value="a.exr"/>'
     '<boolean name="raw" value="true"/></texture>'
 )
+
 SHARES = {
     "a number": BALL.format('<float name="reflectance" value="{}"/>'),
     "a table": BALL.format(TABLE),
@@ -153,8 +149,8 @@ def test_picture_of_a_reflectance_above_1_5_is_refused(texture: str, tmp_path: P
 
 
 # --- Maps ---
-
 AHEAD = '<transform name="to_world"><rotate y="1" angle="180"/><translate z="1"/></transform>'
+
 MAPS = {
     "normalmap": '<bsdf type="normalmap">{}<bsdf type="diffuse"/></bsdf>',
     "": '<bsdf type="bumpmap">{}<bsdf type="diffuse"/></bsdf>',
@@ -186,7 +182,6 @@ def test_maps_are_refused_where_mitsuba_would_fail(
 
 
 # --- What Mitsuba says ---
-
 TURNED = (
     '<emitter type="sunsky"><vector name="sun_direction" x="0" y="0" z="{}"/><transform'
     ' name="to_world"><rotate x="1" angle="180"/></transform></emitter>'

@@ -23,6 +23,7 @@ from pixsim.scene.tree import SpectrumTable, children, parse_tree, tree_of
 from pixsim.sensor.exposure import Exposure
 
 VARIANT = "scalar_spectral"
+
 EVERY_KIND = """<scene version="3.0.0">
     <sensor type="thinlens" id="camera"><float name="fov" value="38.594975"/><integer name="seed" value="-3"/>
         <transform name="to_world"><lookat origin="0.1, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform></sensor>
@@ -34,11 +35,10 @@ EVERY_KIND = """<scene version="3.0.0">
         <ref id="white"/></shape>
 </scene>"""
 
-
 OF_MITSUBA = {
-    "Transform": lambda one: one.matrix,
-    "Reference": lambda one: one.id(),
-    "ResolvedReference": lambda one: one.index(),
+    "Transform": lambda value: value.matrix,
+    "Reference": lambda value: value.id(),
+    "ResolvedReference": lambda value: value.index(),
 }
 
 
@@ -58,110 +58,65 @@ def agree(mine: Any, theirs: Any) -> bool:
 
 @pytest.mark.parametrize("name", [*packaged_scenes(), "every kind"])
 def test_tree_of_says_what_mitsuba_says(name: str) -> None:
+    """And so does what the cache has of it."""
     text = EVERY_KIND if name == "every kind" else load_scene(name, variant=VARIANT).text().text
     state = parse(text, VARIANT)
     made = tree_of(state)
-    kept = trees._from_json(json.loads(json.dumps(trees._to_json(made))))
+    stored = trees._from_json(json.loads(json.dumps(trees._to_json(made))))
     kinds = set()
-    for tree in (made, kept):
-        assert len(tree.nodes) == len(state.nodes)
+    for tree in (made, stored):
         assert tree.id_to_index == dict(state.id_to_index)
-        for mine, theirs in zip(tree.nodes, state.nodes, strict=True):
+        for node, theirs in zip(tree.nodes, state.nodes, strict=True):
             props = theirs.props
-            assert (mine.kind, mine.plugin, mine.id) == (
-                theirs.type.name,
-                props.plugin_name(),
-                props.id(),
-            )
-            assert list(mine) == list(props.keys())
-            for key in mine:
+            identity = (theirs.type.name, props.plugin_name(), props.id(), list(props.keys()))
+            assert (node.kind, node.plugin, node.id, list(node)) == identity
+            assert node.get("none", 7) == props.get("none", 7) == 7
+            for key in node:
                 kind = props.type(key).name
                 kinds.add(kind)
-                assert key in mine
-                assert mine.kind_of(key) == kind
-                value = OF_MITSUBA.get(kind, lambda one: one)(props[key])
-                assert agree(mine[key], value), (key, mine[key], value)
-                if kind == "Color":
-                    assert mine.text_of(key) == props.as_string(key)
+                value = OF_MITSUBA.get(kind, lambda value: value)(props[key])
+                assert node.kind_of(key) == kind
+                assert agree(node[key], value), (key, node[key], value)
+                assert kind != "Color" or node.text_of(key) == props.as_string(key)
                 if kind in trees.REFERENCES:
-                    assert children(mine, tree)[key] == state.id_to_index.get(value, value)
-            for properties in (mine, props):
-                assert "none" not in properties
-                assert properties.get("none", 7) == 7
-    if name == "every kind":
-        every = {"Float", "Integer", "Bool", "Transform", "Vector", "Color", "Spectrum"}
-        assert every <= kinds
-        assert kinds & {"Reference", "ResolvedReference"}
+                    assert children(node, tree)[key] == state.id_to_index.get(value, value)
+    every = {"Float", "Integer", "Bool", "Transform", "Vector", "Color", "Spectrum", "Reference"}
+    assert name != "every kind" or every <= kinds
+
+
+def chart_light() -> tuple[str, float]:
+    """Return the hash of a chart's scene, and the mean of its light, which takes no rays."""
+    scene = load_scene("csf", variant=VARIANT).with_resolution(256)
+    plan = make_render_plan(scene, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)
+    image, _ = render_until(scene, scene.camera(), plan, [], Exposure())
+    return scene.content_hash, float(image.data.mean())
+
+
+def test_a_chart_is_seen_again_without_mitsuba(
+    cache_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in another process."""
+    first = chart_light()
+    monkeypatch.setattr(mitsuba, "import_mitsuba", lambda _: pytest.fail("Mitsuba is imported"))
+    trees._recent_tree.cache_clear()
+    assert chart_light() == first
 
 
 @pytest.fixture
-def no_mitsuba(monkeypatch: pytest.MonkeyPatch) -> None:
-    def imported(_: str) -> None:
-        raise AssertionError("Mitsuba is imported")
-
-    monkeypatch.setattr(mitsuba, "import_mitsuba", imported)
-
-
-@pytest.fixture
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / "cache"))
     trees._recent_tree.cache_clear()
     return tmp_path / "cache"
 
 
-def look(variant: str) -> tuple[str, float]:
-    """Return the hash of a chart's scene, and the mean of its light, which takes no rays."""
-    scene = load_scene("csf", variant=variant).with_resolution(256)
-    camera = scene.camera()
-    plan = make_render_plan(scene, camera, pixsim.Pixel(pitch_um=20.0), exact=True)
-    assert plan.samples.exact
-    image, _ = render_until(scene, camera, plan, [], Exposure())
-    return scene.content_hash, float(image.data.mean())
-
-
-def test_chart_again_without_mitsuba(own_cache: Path, request: pytest.FixtureRequest) -> None:
-    first = look(VARIANT)
-    request.getfixturevalue("no_mitsuba")
-    trees._recent_tree.cache_clear()  # as in another process
-    assert look(VARIANT) == first
-    assert {path.parent.name for path in own_cache.rglob("*.json")} >= {"trees", "spectra"}
-
-
-def test_parse_tree_depends_on_text_and_variant(own_cache: Path) -> None:
-    for text, variant in ((EVERY_KIND, VARIANT), (EVERY_KIND.replace("0.7", "0.6"), VARIANT)):
-        before = len(list(own_cache.rglob("*.json")))
-        for _ in range(2):
-            assert json.dumps(trees._to_json(parse_tree(text, variant))) == json.dumps(
-                trees._to_json(tree_of(parse(text, variant)))
-            )
-        assert len(list(own_cache.rglob("*.json"))) == before + 1
-    (first, _), seen = sorted(own_cache.rglob("*.json")), parse_tree(EVERY_KIND, VARIANT)
-    for damage in (
-        "{",
-        "[]",
-        '{"nodes": [[1]], "ids": {}}',
-        '{"nodes": [["Scene", "scene", "", [["a", "Spectrum", {}, ""]]]], "ids": {}}',
-    ):
-        for path in own_cache.rglob("*.json"):
-            path.write_text(damage)
-        trees._recent_tree.cache_clear()
-        with pytest.warns(UserWarning, match="is damaged"):
-            assert trees._to_json(parse_tree(EVERY_KIND, VARIANT)) == trees._to_json(seen)
-    assert first.exists()
-
-
-def test_parse_tree_large_or_without_cache_is_not_kept(
-    own_cache: Path, monkeypatch: pytest.MonkeyPatch
+def test_large_trees_errors_and_those_without_a_cache_are_not_stored(
+    cache_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     long = EVERY_KIND.replace("</scene>", f"<!-- {'x' * trees.MAX_CACHED_CHARACTERS} --></scene>")
-    assert len(parse_tree(long, VARIANT).nodes) == len(parse(EVERY_KIND, VARIANT).nodes)
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
-    parse_tree(EVERY_KIND, VARIANT)
-    assert not own_cache.exists()
-
-
-def test_parse_tree_error_is_not_kept(own_cache: Path) -> None:
+    assert parse_tree(long, VARIANT) == tree_of(parse(EVERY_KIND, VARIANT))
     for _ in range(2):
         with pytest.raises(pixsim.PixsimError, match="Mitsuba cannot load"):
             parse_tree("<scene version='3.0.0'><emitter type='constant'>", VARIANT)
-    assert not own_cache.exists()
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    parse_tree(EVERY_KIND, VARIANT)
+    assert not cache_folder.exists()

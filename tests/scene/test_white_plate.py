@@ -23,44 +23,56 @@ from pixsim.scene.scene import Scene, sensor_node
 from pixsim.scene.white_plate import plate_distance_m, plate_transform
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.merging import merge
 from pixsim.viewer.screen import white_header
 
 BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
+
 IRRADIANCE = 10.5
+
 AT_45 = math.cos(math.pi / 4) / math.pi  # radiance of a diffuser over irradiance
+
 DIRECTIONAL = (
     '<emitter type="directional"><vector name="direction" x="0" y="-1" z="1"/>'
     f'<spectrum name="irradiance" value="{BAND_NM}"/></emitter>'
 )
+
 CONSTANT = f'<emitter type="constant"><spectrum name="radiance" value="{BAND_NM}"/></emitter>'
+
 GREY = '<bsdf type="diffuse"><spectrum name="reflectance" value="0.2"/></bsdf>'
+
 BOARD = (
     '<shape type="rectangle"><transform name="to_world"><scale value="3"/><lookat origin="0,0,1"'
     f' target="0,0,0" up="0,1,0"/></transform>{GREY}</shape>'
 )
+
 SCREEN = f'<emitter type="area"><spectrum name="radiance" value="{BAND_NM}"/></emitter>'
+
 BALL = (
     '<shape type="sphere"><point name="center" x="0" y="0" z="1.05"/><float name="radius"'
     f' value="0.1"/>{GREY}</shape>'
 )
+
 TUBE = BALL.replace("sphere", "cylinder").replace(
     '<point name="center" x="0" y="0" z="1.05"/>',
     '<point name="p0" x="-1" y="0" z="1.05"/><point name="p1" x="1" y="0" z="1.05"/>',
 )
+
 ROOM = f'<shape type="cube"><transform name="to_world"><scale value="9"/></transform>{GREY}</shape>'
+
 SIGN = (
     BOARD.replace('value="3"', 'value="0.1"')
     .replace("0,0,1", "0,0.05,0.8")
     .replace('target="0,0,0', 'target="0,0.05,0')
     .replace("rectangle", "disk")
 )
+
 PIXEL: dict[str, Any] = {
     "technology": "4t-bsi",
     "pitch_um": 21.2,
     "quantum_efficiency": [[400, 0.6], [1000, 0.2]],
     "black_level_dn": 60,
 }
+
 SMALL: dict[str, Any] = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
 
 
@@ -91,9 +103,8 @@ def test_radiance_is_reflectance_times_irradiance_over_pi(
 
 
 def test_plate_in_uniform_light_has_the_radiance_of_the_light(tmp_path: Path) -> None:
-    """E = π L from all sides, to three standard errors: the lamps that nobody sees, behind the
-    camera, count.
-    """
+    # E = π L from all sides, to three standard errors: the lamps that nobody sees, behind the
+    # camera, count.
     scene = load(plate_file(tmp_path, CONSTANT, BOARD)).with_resolution(16)
     assert plate_radiance(render(scene, diffuser=True)) == pytest.approx(IRRADIANCE, rel=3e-3)
 
@@ -189,22 +200,6 @@ def test_plate_without_light_is_refused(tmp_path: Path) -> None:
         render(load(path).with_resolution(16), diffuser=True)
 
 
-def test_each_sensor_of_a_comparison_has_the_plate_in_its_own_light(tmp_path: Path) -> None:
-    """Of a lamp from 810 to 830 and from 840 to 860 nm, the light of a sensor whose filter ends at
-    828 nm has the first part.
-    """
-    lamp = DIRECTIONAL.replace(BAND_NM, f"809:0, 810:0.5, 829:0.5, 830:0, {BAND_NM}")
-    lines = [f"{name} = {value!r}\n" for name, value in (PIXEL | {"pitch_um": 84.8}).items()]
-    files = [tmp_path / "cut.toml", tmp_path / "whole.toml"]
-    for file, cut in zip(files, ("infrared_cut_nm = 828\n", ""), strict=True):
-        file.write_text("".join(["[pixel]\n", *lines, cut]), encoding="utf-8")
-    effort = {"resolution": 16, "render_noise": 5.0, "repeats": 2, "jobs": 1}
-    display = {"dots": 16, "white": "diffuser"}
-    comparison = pixsim.compare(files, plate_file(tmp_path, lamp, BOARD), display=display, **effort)
-    whites = [sensor.light.image.header["white_w_per_m2_sr"] for sensor in comparison.sensors]
-    assert whites == pytest.approx([10.0 * AT_45, (10.0 + IRRADIANCE) * AT_45], rel=1e-3)
-
-
 def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
     """The plate comes first: with a target that nothing meets, no time is left behind the
     picture.
@@ -215,16 +210,3 @@ def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="its time limit of 0.001 s"):
         light, _ = render_until(*job, pixsim.Exposure(), render_noise=1e-9, max_seconds=1e-3)
     assert plate_radiance(light) == pytest.approx(IRRADIANCE * AT_45, rel=1e-4)
-
-
-WHITES = [{"white": "diffuser"}, {"white_cd_per_m2": 100.0}, {"white_w_per_m2_sr": 2.0}]
-
-
-@pytest.mark.parametrize("over", WHITES)
-@pytest.mark.parametrize("base", WHITES)
-def test_white_of_a_later_layer_replaces_that_of_an_earlier_one(
-    base: dict[str, Any], over: dict[str, Any]
-) -> None:
-    """In whatever words: an option over a file, or a condition over a study."""
-    merged = merge({"display": {"dots": 32, **base}}, {"display": over})
-    assert merged["display"] == {"dots": 32, **over}

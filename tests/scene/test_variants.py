@@ -1,26 +1,27 @@
-"""The graphics card: what is looked for, what a trial finds, and what becomes of it, with a driver
-of the tests.
+"""Which variant of Mitsuba runs here: libraries of LLVM that are too old, broken, missing or usable,
+and a graphics card with a driver of the tests.
 
-No card is needed here. `tests/references/test_monte_carlo_judge.py` compares pictures of a real one.
+No card is needed here: tests/references compares pictures of a real one.
 """
 
 from __future__ import annotations
 
+import ctypes.util
 import importlib.metadata
-import json
+import os
 import re
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.edits import NEEDS_NO_CARD, VARIANT
+from helpers.edits import VARIANT
 from helpers.processes import HANG_S
 from helpers.tiny import lit_sensors, tiny
 
@@ -31,11 +32,167 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import TraceJob
-from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.tree import _to_json, tree_of
 from pixsim.scene.trial import Trial
 from pixsim.scene.variants import graphics, variant
+
+
+def wheel_installed() -> bool:
+    try:
+        return bool(importlib.metadata.version(variant.LLVM_WHEEL))
+    except importlib.metadata.PackageNotFoundError:
+        return False
+
+
+def python(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a new process whose LLVM is chosen by `environment` only."""
+    clean = {key: value for key, value in os.environ.items() if key != variant.LLVM_VARIABLE}
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(
+        command, env=clean | environment, capture_output=True, text=True, timeout=HANG_S
+    )
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """Clear the cache of `choose`; the variable is set, since another test may have imported
+    Dr.Jit.
+    """
+    monkeypatch.setenv(variant.LLVM_VARIABLE, "of a test")
+    variant.choose.cache_clear()
+    yield monkeypatch
+    variant.choose.cache_clear()
+
+
+def fake_llvm(folder: Path, major: int) -> str:
+    """Build a library that reports this version of LLVM."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler")
+    source = (
+        f"void LLVMGetVersion(unsigned *a, unsigned *b, unsigned *c) {{ *a = {major}; if (b) *b ="
+        " 0; if (c) *c = 0; }"
+    )
+    library = folder / f"libLLVM-{major}.so"
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", library],
+        input=source,
+        text=True,
+        check=True,
+    )
+    return str(library)
+
+
+# --- Automatic choice ---
+RENDER = """
+import sys
+import pixsim
+scene = pixsim.load_scene("flat", resolution=8, spp=4)
+assert pixsim.render(scene).illuminance_lx().max() > 0
+print(scene.choice.variant)
+print(scene.choice.llvm_path)
+if sys.platform == "linux":
+    print({line.split()[-1] for line in open("/proc/self/maps") if "libLLVM" in line})
+"""
+
+
+def test_libraries_have_a_version_or_none(tmp_path: Path) -> None:
+    """libm stands for LLVM 15, which has no LLVMGetVersion either."""
+    name = ctypes.util.find_library("m")
+    assert name is None or variant.llvm_version(name) == 0
+    (tmp_path / "libLLVM.so").write_text("not a library", encoding="utf-8")
+    with pytest.raises(OSError, match="libLLVM"):
+        variant.llvm_version(str(tmp_path / "libLLVM.so"))
+
+
+@pytest.mark.parametrize(("major", "usable"), [(16, False), (17, True), (21, True)])
+def test_oldest_usable_llvm_is_17(
+    major: int, usable: bool, tmp_path: Path, fresh: pytest.MonkeyPatch
+) -> None:
+    library = fake_llvm(tmp_path, major)
+    fresh.setenv(variant.LLVM_VARIABLE, library)
+    if usable:
+        chosen = variant.choose("llvm_ad_spectral")
+        assert (chosen.variant, chosen.llvm_path) == ("llvm_ad_spectral", library)
+    else:
+        with pytest.raises(PixsimError, match="version 16; allowed: LLVM 17 or newer"):
+            variant.choose()
+
+
+def test_order_of_choice_is_variable_system_wheel(
+    tmp_path: Path, fresh: pytest.MonkeyPatch
+) -> None:
+    old, stated, system, wheel = (fake_llvm(tmp_path, major) for major in (16, 18, 19, 21))
+    fresh.setattr(variant, "_system_candidates", lambda: [old, system])
+    fresh.setattr(variant, "_wheel_candidates", lambda: [wheel])
+    fresh.setenv(variant.LLVM_VARIABLE, stated)
+    assert variant.find_llvm() == (stated, "DRJIT_LIBLLVM_PATH, LLVM 18")
+    fresh.delenv(variant.LLVM_VARIABLE)
+    assert variant.find_llvm() == (system, "system, LLVM 19")
+    fresh.setattr(variant, "_system_candidates", lambda: [old])
+    assert variant.find_llvm() == (wheel, "karellen-llvm-core, LLVM 21")
+    fresh.setattr(variant, "_wheel_candidates", list)
+    assert variant.find_llvm() == (None, "no LLVM 17 or newer was found")
+
+
+def test_choice_does_not_count_as_the_users_later(
+    tmp_path: Path, fresh: pytest.MonkeyPatch
+) -> None:
+    """`choose` sets the variable for Dr.Jit, which was not imported here."""
+    system = fake_llvm(tmp_path, 19)
+    fresh.setattr(variant, "_system_candidates", lambda: [system])
+    fresh.setenv(variant.LLVM_VARIABLE, "")
+    fresh.delitem(sys.modules, "drjit", raising=False)
+    first = variant.choose()
+    assert os.environ[variant.LLVM_VARIABLE] == system
+    variant.choose.cache_clear()
+    assert variant.choose() == first
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"), [("", "no library"), ("broken.so", "no library"), ("nowhere.so", "no such")]
+)
+def test_unusable_library_of_the_user_is_refused(
+    name: str, cause: str, tmp_path: Path, fresh: pytest.MonkeyPatch
+) -> None:
+    """Else Mitsuba aborts the process at the first render or quietly takes another library."""
+    (tmp_path / "broken.so").write_text("not a library", encoding="utf-8")
+    fresh.setenv(variant.LLVM_VARIABLE, str(tmp_path / name))
+    with pytest.raises(PixsimError, match=rf"DRJIT_LIBLLVM_PATH.*cannot be loaded \({cause}"):
+        pixsim.load_scene("flat")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc/self/maps")
+@pytest.mark.skipif(not wheel_installed(), reason=f"{variant.LLVM_WHEEL} is not installed")
+def test_chosen_llvm_is_the_one_that_works() -> None:
+    done = python(RENDER)
+    assert done.returncode == 0, done.stderr
+    name, path, mapped = done.stdout.splitlines()
+    assert name == "llvm_ad_spectral"
+    assert os.path.realpath(path) in mapped
+    assert variant.llvm_version(path) >= 17
+
+
+def test_without_llvm_scalar_renders_with_a_note(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(variant, "find_llvm", lambda: (None, "no LLVM 17 or newer was found"))
+    hint = "no LLVM 17.*pip install karellen-llvm-core"
+    with pytest.warns(UserWarning, match=f"scalar_spectral, since {hint}"):
+        assert variant.choose().variant == "scalar_spectral"
+    with pytest.raises(PixsimError, match=hint):
+        variant.choose("llvm_ad_spectral")
+
+
+def test_scalar_needs_no_llvm(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(variant, "find_llvm", lambda: pytest.fail("looked for an LLVM"))
+    assert variant.choose("scalar_spectral").reason == "requested"
+
+
+def test_llvm_after_drjit_is_taken_or_refused(fresh: pytest.MonkeyPatch) -> None:
+    """It was imported before its LLVM was checked, which may abort."""
+    fresh.delenv(variant.LLVM_VARIABLE)
+    fresh.setitem(sys.modules, "drjit", sys)
+    with pytest.raises(PixsimError, match="Mitsuba was imported before its LLVM was checked"):
+        variant.choose("llvm_ad_spectral")
+
 
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""
@@ -124,13 +281,6 @@ PROCESSORS = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
 
 
 @pytest.fixture
-def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
-    variant.choose.cache_clear()
-    yield monkeypatch
-    variant.choose.cache_clear()
-
-
-@pytest.fixture
 def with_llvm(fresh: pytest.MonkeyPatch) -> None:
     fresh.setattr(variant, "_for_processors", lambda _: (PROCESSORS, ""))
 
@@ -146,17 +296,6 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     assert variant.choose() == replace(
         PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}"
     )
-
-
-def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A device of a driver whose library is not there, as in containers that get the devices
-    alone.
-    """
-    (tmp_path / "nvidiactl").touch()
-    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setattr(graphics, "trial_render", lambda *_, **__: pytest.fail("started a process"))
-    fresh.setenv(graphics.DRIVER_VARIABLE, "nowhere.so")
-    assert "cannot be loaded (nowhere.so)" in str(graphics.graphics_trial().fault)
 
 
 # --- The process that starts the driver ---
@@ -196,15 +335,6 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
         ChildTracer(job, lambda: time.monotonic() + HANG_S).sample_count("independent", 4)
 
 
-def test_other_driver_or_visible_cards_are_tried(machine: Machine) -> None:
-    names = [name for name in graphics.DRIVER_SETTINGS if name != graphics.DRIVER_VARIABLE]
-    for tries, name in enumerate(names, 1):
-        machine.patch.setenv(name, "1")
-        with pytest.warns(UserWarning, match="passed"):
-            graphics.graphics_trial()
-        assert machine.tries == tries
-
-
 @pytest.mark.parametrize(
     ("name", "value"), [("PIXSIM_CACHE_GIB", "0"), ("PIXSIM_CACHE_DIR", "/dev/null/there")]
 )
@@ -224,19 +354,6 @@ def test_choose_prefers_card_and_reads_on_processors() -> None:
     assert (chosen.variant, chosen.processors) == ("cuda_ad_spectral", PROCESSORS)
     assert chosen.reading == variant.choose("cuda_ad_spectral").reading == "llvm_ad_spectral"
     assert variant.choose("llvm_ad_spectral") == PROCESSORS
-
-
-# --- Renders ---
-@pytest.mark.parametrize("name", ["csf", "macbeth", "still_life"])
-def test_trees_are_equal_for_all_variants(name: str) -> None:
-    """The processors read a scene, and the card's process reads it again: its nodes must have the
-    same numbers.
-    """
-    text = pixsim.load_scene(name, variant=VARIANT).text().text
-    with mitsuba_session(VARIANT) as mi:
-        configs = [mi.parser.ParserConfig(name) for name in variant.VARIANTS]
-        states = [mi.parser.parse_string(config, text) for config in configs]
-        assert len({json.dumps(_to_json(tree_of(state))) for state in states}) == 1
 
 
 CHOSEN = variant.ChosenVariant(
@@ -268,12 +385,12 @@ def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     )
 
 
-def small() -> pixsim.Scene:
+def small_scene() -> pixsim.Scene:
     return pixsim.load_scene("flat", variant=VARIANT, resolution=8, spp=4)
 
 
 def light(choice: variant.ChosenVariant) -> pixsim.SpectralImage:
-    return pixsim.render(replace(small(), choice=choice))
+    return pixsim.render(replace(small_scene(), choice=choice))
 
 
 def test_packaged_scene_is_traced_in_child(card: Callable[[int], None]) -> None:
@@ -290,7 +407,7 @@ def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]) -> None
     card(99)
     keys = []
     for choice in (CHOSEN, variant.choose(VARIANT), CHOSEN):
-        (sensor,) = lit_sensors(tiny(), light(choice), small().camera())
+        (sensor,) = lit_sensors(tiny(), light(choice), small_scene().camera())
         keys.append(set(sensor.keys(6.0, 2)))
     assert keys[0].isdisjoint(keys[1])
     assert keys[0] == keys[2]
@@ -313,33 +430,13 @@ def test_cached_renders_are_of_one_variant(
     counts = []
     for works, choice in ((99, CHOSEN), (0, variant.choose(VARIANT)), (0, CHOSEN)):
         card(works)
-        scene = replace(small(), choice=choice)
+        scene = replace(small_scene(), choice=choice)
         job = (scene, scene.camera(), make_render_plan(scene), [pixsim.Pixel(pitch_um=100.0)])
         image, _ = render_until(*job, pixsim.Exposure(), render_noise=10.0, use_cache=True)
         variants.append(image.header["variant"])
         counts.append(len(list((tmp_path / "render").glob("*"))))
     assert variants == ["cuda_ad_spectral", VARIANT, "cuda_ad_spectral"]
     assert 0 < counts[0] < counts[1] == counts[2]
-
-
-@NEEDS_NO_CARD
-def test_variant_without_driver_leaves_in_a_real_child():
-    """Mitsuba's own error in the process that would trace on the card."""
-    with pytest.raises(
-        PixsimError, match=r"variant: got 'cuda_ad_spectral' \(.*--variant scalar_spectral"
-    ):
-        light(CHOSEN)
-
-
-def test_computed_chart_states_what_read_it():
-    """A chart whose cells are computed takes no rays, so that the card has no part in its light,
-    and no study begins anew.
-    """
-    scene = replace(pixsim.load_scene("csf", variant=VARIANT).with_resolution(256), choice=CHOSEN)
-    plan = make_render_plan(scene, scene.camera(), pixsim.Pixel(pitch_um=20.0), exact=True)
-    assert plan.samples.exact
-    image, _ = render_until(scene, scene.camera(), plan, [], pixsim.Exposure())
-    assert image.header["variant"] == VARIANT
 
 
 @pytest.mark.parametrize(("picture", "fault"), [(PICTURE, "None"), (DIES, "dies of signal 6")])
