@@ -12,6 +12,7 @@ import colour
 import numpy as np
 import pytest
 from helpers.edits import load
+from helpers.tiff import tiff
 from PIL import Image
 
 import pixsim
@@ -106,7 +107,7 @@ def test_packaged_textures_equal_make_chart(kind):
 
 
 # --- A CSF chart with a highest frequency of its own ---
-@pytest.mark.parametrize(("highest_lp_per_mm", "die_mm"), [(145.0, 8.5), (40.0, 2.0), (20.0, 36.0)])
+@pytest.mark.parametrize(("highest_lp_per_mm", "die_mm"), [(100.0, 5.0), (20.0, 36.0)])
 def test_csf_file_begins_at_2_7_cycles_and_ends_at_its_frequency(
     highest_lp_per_mm, die_mm, tmp_path, monkeypatch
 ):
@@ -343,3 +344,15 @@ def test_white_of_the_chart_is_that_of_its_lamps(written: Path) -> None:
     # Of a screen, by a lamp of intensity 1 through a slide of 1
     xyz = 683.002 * xyz_weights(image) @ image.white_spectrum / (math.pi * PROJECTOR_M**2)
     np.testing.assert_allclose(xyz, 1000 / 0.3290 * np.array([0.3127, 0.3290, 0.3583]), rtol=1e-3)
+
+
+def test_what_is_lost_of_a_picture_is_said(tmp_path: Path) -> None:
+    tiff(tmp_path / "deep.tif", RGB.astype("<u2"), 2)
+    with pytest.warns(UserWarning, match="is read with 8 of its 16 bits"):
+        read_luminance(tmp_path / "deep.tif")
+
+
+def test_texture_without_a_cache_is_temporary(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", "/dev/null/there")
+    path = charts.texture_file(["flat"], charts.flat)
+    np.testing.assert_array_equal(read_channels(path)[0]["Y"], charts.flat())

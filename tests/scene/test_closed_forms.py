@@ -87,6 +87,9 @@ CLAIMS = [
               disc_um(camera, depth_m), rtol=1e-9, atol=1e-9)
         for camera in (CAMERA, NEAR) for depth_m in (0.05, 0.999, 1.2, 1e6)
     ),
+    Claim("half of a Siemens star's disc is dark", lambda: charts.siemens_star(64, 64).mean(),
+          1 - 0.975 * np.pi * 0.45**2 / 2, rtol=2e-3, why="512 × 512 points"),
+    Claim("a uniform chart has one detail", lambda: rules.Chart(np.ones((2, 2)), (1.0, 1.0), (2, 2)).details, 1.0),
     Claim("no blur in focus", lambda: blur_um(CAMERA, 1.0), 0.0, atol=1e-9),
     Claim("blur at and behind the lens", lambda: [blur_um(CAMERA, z) for z in (0.0, -1.0)], [math.inf] * 2),
     Claim("blur of unknown size", lambda: greatest_blur_um(CAMERA, Body(0, None, None)), math.inf),

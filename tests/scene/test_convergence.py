@@ -140,14 +140,14 @@ def test_render_until_lower_target_renders_more(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_render_until_worst_pixel_counts() -> None:
-    pixels = [pixsim.Pixel(pitch_um=10.6), PIXEL]
+    pixels = [pixsim.Pixel(pitch_um=10.6), derive(PIXEL)]
     fractions = [until(LOOSE, pixels=[pixel])[1].fraction for pixel in pixels]
     assert until(LOOSE, pixels=pixels)[1].fraction == max(fractions) > 1.05 * min(fractions)
 
 
 # --- Header and score ---
 def test_render_until_equal_seeds_are_bit_identical() -> None:
-    target = until(LOOSE)[1].fraction / 3
+    target = until(LOOSE)[1].fraction / 2
     (first, noise), (again, noise_again), (other, _) = (until(target, seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.planes, again.planes)
     assert noise == noise_again
@@ -286,14 +286,14 @@ def test_progress_rises_and_says_the_noise() -> None:
 
 
 def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one half 4 + 4 + 16 + 16 samples a cell; a third pair of 16 would exceed 50."""
+    """In one half 4 + 4 + 16 + 16 + 16 samples a cell: 64 do not fit into 70, nor another 16."""
     renders = Noisy(monkeypatch, 0.1)
-    monkeypatch.setattr(film, "CHART_SAMPLES", 100 * 32 * 32)
+    monkeypatch.setattr(film, "CHART_SAMPLES", 140 * 32 * 32)
     monkeypatch.setattr(convergence.time, "monotonic", lambda: 1e9 * len(renders.levels))
-    with pytest.warns(UserWarning, match=r"limit of 100000 samples"):
+    with pytest.warns(UserWarning, match=r"limit of 140000 samples"):
         noise = until(1e-6)[1]
-    assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1]
-    assert (noise.runs, noise.ended_by) == (8, "samples")
+    assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1]
+    assert (noise.runs, noise.ended_by) == (10, "samples")
 
 
 @pytest.mark.parametrize("shape", [(300, 300), (200, 301)])
@@ -318,7 +318,6 @@ TABLES = {
 }
 
 # --- Cached renders ---
-
 RUN = (
     f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100"
     " --pixel.pitch-um 84.8 --out"
@@ -446,6 +445,6 @@ def test_time_limit_is_reproduced(rendered: list[int], monkeypatch: pytest.Monke
 
     first = renders(4.0)
     count = len(rendered)
-    assert [renders(4.0) for _ in range(3)] == [first] * 3
+    assert [renders(4.0) for _ in range(2)] == [first] * 2
     assert len(rendered) == count >= 2
     assert renders(5.0)[0] > first[0]

@@ -212,3 +212,11 @@ def test_a_picture_of_light_beside_a_lamp_that_goes_on_is_said(tmp_path: Path) -
     assert not warnings_of(scene_of(tmp_path, sky), (300, 0.5), (1100, 0.5))
     warnings = warnings_of(scene_of(tmp_path, sky + lamp(BLACK_BODY)), (300, 0.5), (1100, 0.5))
     assert any("'envmap'" in warning for warning in warnings)
+
+
+def test_a_metal_that_ends_is_what_mitsuba_makes_of_it(tmp_path: Path) -> None:
+    body = wall("", plugin="conductor")
+    with pytest.raises(pixsim.PixsimError, match="the metal of 'paint'"):
+        rendered(scene_of(tmp_path, body))
+    plan, _ = rendered(scene_of(tmp_path, body, beyond_tables="hold"))
+    assert any("the metal of 'paint'" in note for note in plan.warnings)

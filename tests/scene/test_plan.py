@@ -8,7 +8,7 @@ import json
 import math
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +21,16 @@ from pixsim import optics
 from pixsim.base.arrays import Array
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.thin_lens import field_factor
-from pixsim.scene.film import BLOCK, MAX_ACROSS, MAX_BYTES, film_bytes, fitting_width, largest_film
+from pixsim.scene.film import (
+    BLOCK,
+    MAX_ACROSS,
+    MAX_BYTES,
+    PATH_SAMPLES,
+    film_bytes,
+    film_memory_bytes,
+    fitting_width,
+    largest_film,
+)
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import UNIFORM_RESOLUTION, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
@@ -36,25 +45,12 @@ PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 # lamps, flat has one luminance.
 CASES = {
     "target": ("target", {}),
-    "macbeth fl11": ("macbeth", {"lamp": "spectra/fl11.spd"}),
     "macbeth laser": ("macbeth", {"lamp": "spectra/laser_532nm.spd"}),
-    "yard": ("yard", {}),
 }
 
-
-class Effort(NamedTuple):
-    """Samples and renders of the pruned and the full side, and places along a side of the picture,
-    for a noise below 1 %.
-    """
-
-    spp: tuple[int, int] = (16, 4)
-    renders: tuple[int, int] = (6, 5)
-    places: int = 4
-
-
-# Edges alias on a coarse film, and paths are noisy: there the whole picture is compared.
-EFFORT = {"yard": Effort((64, 16), (6, 4), 1)}
-
+# Samples and renders of the pruned and the full side, for a noise below 1 %
+SPP = (16, 4)
+RENDERS = (6, 5)
 FILM = 24
 
 
@@ -63,12 +59,11 @@ def sampled(case: str, full: bool) -> tuple[np.ndarray, float]:
     the plan.
     """
     name, parameters = CASES[case]
-    effort = EFFORT.get(name, Effort())
-    scene = load(name, resolution=FILM, spp=effort.spp[full], **parameters)
+    scene = load(name, resolution=FILM, spp=SPP[full], **parameters)
     plan = make_plan(scene, full=full)
     renderer = Renderer(scene, scene.camera(), plan, seed=1)
     renders = []
-    for index in range(effort.renders[full]):
+    for index in range(RENDERS[full]):
         image = renderer.image(*renderer.run(index))
         rates = [places(ideal_rate(image, derive(pixel)), name) for pixel in PIXELS]
         renders.append(np.concatenate(rates))
@@ -81,9 +76,7 @@ BARE = pixsim.Pixel(pitch_um=10.0, stack={"height_um": 8.0, "index": 1.5, "shift
 def places(rate: np.ndarray, name: str) -> np.ndarray:
     """Return the means of parts of a picture: of macbeth the centres of its 24 patches."""
     if name != "macbeth":
-        count = EFFORT.get(name, Effort()).places
-        side = FILM // count
-        return rate.reshape(count, side, count, side).mean(axis=(1, 3)).ravel()
+        return rate.reshape(4, FILM // 4, 4, FILM // 4).mean(axis=(1, 3)).ravel()
     rows, columns = (
         [slice(*np.rint((i + np.array([0.3, 0.7])) * FILM / n).astype(int)) for i in range(n)]
         for n in (4, 6)
@@ -306,3 +299,25 @@ def test_display_refines_the_film_of_an_unknown_scene() -> None:
     for other_scene, other_display in others:
         plan = make_plan(other_scene, Camera(), pixel, display=other_display)
         assert plan.film.resolution is None
+
+
+@pytest.mark.parametrize(
+    ("width", "planes", "measured_gib"), [(512, 1, 0.41), (8192, 1, 1.31), (8192, 12, 1.68)]
+)
+def test_memory_of_a_film_is_that_of_its_planes(
+    width: int, planes: int, measured_gib: float
+) -> None:
+    # Measured with `csf` and `macbeth`; more planes lie in files.
+    gib = film_memory_bytes(width**2, planes) / (1 << 30)
+    assert 0.9 * measured_gib < gib < 2.1 * measured_gib
+    assert film_memory_bytes(width**2, 100 * planes) / (1 << 30) < gib + 1.1
+
+
+def test_film_of_paths_stays_within_the_samples() -> None:
+    # Two renders of the film that is chosen. It may be narrower by an eighth to end where the die
+    # ends, (8/9)² = 0.79, and its width is a multiple of 4.
+    camera = Camera(die_mm=10.0, die_height_mm=5.0)
+    plan = make_plan(load("still_life"), camera, Pixel(pitch_um=6.5), display=Display(dots=2048))
+    cells = plan.film.resolution**2 * 5.0 / 10
+    samples = 2 * cells * plan.samples.spp * plan.light.passes
+    assert 0.78 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES

@@ -19,7 +19,7 @@ from pixsim.light.exr import read_channels, read_exr, write_channels, write_exr
 from pixsim.light.spectral import RINGS, SpectralImage, photons_per_joule
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.camera_lens import LENS_HEADER, Tiling, choose_tiling, traced_lens, without_lens
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens, without_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.plan import Plan, make_render_plan
@@ -103,22 +103,15 @@ def test_plan_states_the_tiles_and_their_error(singlet: Rendered) -> None:
 
 
 def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
-    """Photodiodes average what finer films add: what one of these would choose itself is no
-    larger, so that what a finer film needs, the coarser one has.
-    """
+    """Photodiodes average what finer films add."""
     scene, camera = through("cooke_triplet", 0.5, 64)
     camera = camera.model_copy(update={"die_mm": 0.1, "die_height_mm": 0.1})
-    films = [scene.with_resolution(across) for across in (64, 128)]
+    assert derive(PIXEL).aperture_side_um / 2 >= 100 / 64
     tilings = [
-        make_render_plan(film, camera, PIXEL, tolerance_e=3e-3).film.tiling for film in films
+        make_render_plan(scene.with_resolution(across), camera, PIXEL, tolerance_e=3e-3).film.tiling
+        for across in (64, 128)
     ]
     assert tilings[0] == tilings[1]
-    aperture_um = derive(PIXEL).aperture_side_um
-    assert aperture_um / 2 >= 100 / 64
-    light = ((550.0,), (1.0,), aperture_um, 0.03)
-    coarse, fine = (choose_tiling(camera, (n, n), 100 / n, *light) for n in (64, 256))
-    assert fine.psf_um <= coarse.psf_um * 1.05
-    assert max(fine.error, coarse.error) <= 0.03
 
 
 def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() -> None:
@@ -227,7 +220,6 @@ DEEP = """<emitter type="constant"/>
     <shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate y="1" angle="180"/>
         <translate z="0.2"/></transform></shape>"""
 
-
 CHART = """<integrator type="path"/><shape type="rectangle">
     <transform name="to_world"><scale value="HALF"/><rotate y="1" angle="180"/><translate z="1"/></transform>
     <emitter type="area"><texture type="bitmap" name="radiance">
@@ -304,7 +296,7 @@ def border_rates(scene: Scene) -> tuple[Array, float, float]:
     image, camera, plan = rendered_cells(scene, CELLS, exact=True)
     assert image.margin == 12  # the reach of 21 cells, in blocks of 4
     exact = diffracted_rate(image, camera, derive(PIXEL))
-    plan = replace(plan, samples=replace(plan.samples, exact=False, spp=256))
+    plan = replace(plan, samples=replace(plan.samples, exact=False, spp=64))
     images = [render(scene.with_resolution(CELLS), camera, seed, plan=plan) for seed in (0, 1)]
     rates = [diffracted_rate(sampled, camera, derive(PIXEL)) for sampled in images]
     noise = np.sqrt(np.mean(ring(rates[0] - rates[1]) ** 2) / 2)
@@ -318,7 +310,7 @@ def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
     and does not darken the border.
     """
     _, noise, error = border_rates(load_scene("csf"))
-    assert noise < 2e-3
+    assert noise < 5e-3
     assert error == pytest.approx(noise, rel=0.15)
     image, camera, plan = rendered_cells(load_scene("flat"), CELLS, exact=True)
     assert plan.film.ends == (True, True)
@@ -333,7 +325,7 @@ def test_a_chart_that_ends_beyond_the_film_is_black_there(tmp_path: Path) -> Non
     endless = diffracted_rate(image, camera, derive(PIXEL))
     half_m = camera.die_mm / (2 * camera.image_distance_mm)  # of the view at 1 m
     exact, noise, error = border_rates(chart_scene(tmp_path, 1.1 * half_m))
-    assert noise < 5e-3
+    assert noise < 2e-2
     assert error == pytest.approx(noise, rel=0.15)
     shares = [ring(rate, 1).mean() / rate.mean() for rate in (exact, endless)]
     assert shares[0] < 0.97 * shares[1]

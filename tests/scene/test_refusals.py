@@ -200,6 +200,8 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "lux beside luminance": (lambda _: load("csf", lux=500, luminance_cd_per_m2=10), "lux: .*one of them"),
     "lux that is none": (lambda _: load("macbeth", lux="bright"), "lux: got 'bright'"),
+    "lux beyond all suns": (lambda _: load("macbeth", lux=1e12), "1e-09 to 1e\\+09 lx"),
+    "a tolerance of all light": (lambda _: make_render_plan(load("flat"), tolerance_e=1.0), "tolerance_e"),
     "lux of no stated place": (loaded(CONSTANT, lux=500), "'lux'"),
     "lux of a picture": (
         lambda folder: loaded(LUX, f'<emitter type="envmap">{file("sky.exr")}</emitter>', lux=500)(with_sky(folder)),

@@ -126,7 +126,7 @@ KEPT = {
     "a sphere": ("macbeth", [shape("sphere", NEAR, '<bsdf type="diffuse"/>')], MATT),
     **{
         f"a patch of {bsdf}": ("macbeth", [(BSDF, f'<bsdf type="{bsdf}">')], MATT)
-        for bsdf in ("conductor", "roughplastic", "dielectric")
+        for bsdf in ("conductor", "dielectric")
     },
     "a patch of principled": (
         "macbeth",
@@ -149,11 +149,6 @@ KEPT = {
     "a mirrored board facing the board": (
         "macbeth",
         [shape("disk", f'<scale x="-1"/>{BEHIND}')],
-        {"bounces"},
-    ),
-    "a board facing the board from the back of its matrix": (
-        "macbeth",
-        [shape("rectangle", CONTROLLED_FIELDS + BEHIND)],
         {"bounces"},
     ),
     "a board that shows both sides": ("macbeth", BOTH_SIDES, {"bounces"}),
@@ -290,10 +285,9 @@ def test_chart_picture_is_cell_means(
         assert picture[cell] == pytest.approx(expected, rel=1e-6 if order else 2e-3), cell
 
 
-# 1024 stratified samples leave a noise of 1e-4, and three times as much in the worst of 1160 cells;
-# of steps of 0.9 next to 0.1, one side of which a cell's samples take for the other by 1024^-¾,
-# 5e-3.
-NOISE = {"bilinear": 1e-3, "nearest": 1e-2}
+# 256 stratified samples leave a noise of 3e-4, and three times as much in the worst of 1160 cells; of
+# steps of 0.9 next to 0.1, one side of which a cell's samples take for the other by 256^-¾, 1.4e-2.
+NOISE = {"bilinear": 3e-3, "nearest": 3e-2}
 
 
 # A wrong way of a chart is an error of a half, far above either noise: the filters share the ways.
@@ -330,7 +324,7 @@ def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, tmp_pa
     ).with_resolution(40)
     camera = pixsim.Camera(die_mm=2.7136, die_height_mm=1.9)
     exact = make_plan(scene, camera, display=pixsim.Display())
-    sampled = make_plan(scene.with_parameters(spp=1024), camera)
+    sampled = make_plan(scene.with_parameters(spp=256), camera)
     assert (exact.samples.exact, sampled.samples.exact) == (True, False)
     exact_lx, sampled_lx = (
         pixsim.render(scene, camera, plan=plan).illuminance_lx() for plan in (exact, sampled)
@@ -414,7 +408,7 @@ APPLIED: dict[str, tuple[str, list[tuple[str, str]], dict[str, Any], dict[str, A
     "two lamp spectra": ("macbeth", [(END, LAMP.format("spectra/a.spd"))], {}, {"lamps": 2}),
     **{
         f"the scene's {plugin}": ("macbeth", [with_integrator(plugin)], {}, {"integrator": None})
-        for plugin in ("volpath", "direct", "volpathmis")
+        for plugin in ("volpath", "direct")
     },
     "no light": ("csf", [with_depth(0)], {}, {"integrator": None}),
     "lamps alone": ("csf", [with_depth(1)], {}, {"integrator": None}),

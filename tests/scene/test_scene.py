@@ -387,3 +387,10 @@ def test_content_hash_changes_with_nodes_and_meshes(tmp_path: Path) -> None:
             hashes.append(load(path).content_hash)
     assert len(set(hashes)) == len(hashes) == 12
     assert load(path).content_hash == hashes[-1]
+
+
+def test_a_sensor_without_film_and_sampler_has_those_of_mitsuba(tmp_path: Path) -> None:
+    sensor = f'<sensor type="thinlens">{lens_xml()}</sensor>'
+    scene = load(scene_file(tmp_path, sensor, '<emitter type="constant"/>', BALL.format(0.1)))
+    assert scene.film_shape(pixsim.Camera(), scene.parse()) == (576, 768)
+    assert make_render_plan(scene).samples.full_spp == 4

@@ -115,11 +115,12 @@ def tracer_of(
     )
 
 
-def test_pulses_are_sampled_as_they_are(import_first: None) -> None:
+@pytest.mark.parametrize("plugin", ["path", "prb"])
+def test_pulses_are_sampled_as_they_are(plugin: str, import_first: None) -> None:
     # The mean wavelength under each pulse is its centroid, whatever its shape, to five standard
     # errors (9 pulses exceed them once in 200 000 times) and float32; a shift by a step of 0.03 to
     # 0.1 nm would be seen.
-    traced, fit = tracer_of(1.0, 0.0, (40, 40))
+    traced, fit = tracer_of(1.0, 0.0, (40, 40), plugin)
     light = traced.trace_together(0, (0, 40), "multijitter", 64, 3).reshape(1600, -1).astype(float)
     error_nm = light.std(axis=0) / np.sqrt(len(light))
     assert error_nm.max() < 0.02

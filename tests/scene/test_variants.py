@@ -451,3 +451,12 @@ def test_trial_is_taken_once(picture: Trial, fault: str, machine: Machine) -> No
     assert machine.tries == 1
     assert graphics.graphics_trial(again=True).fault is None
     assert machine.tries == 2
+
+
+def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A device without its library, as in containers that get the devices alone."""
+    (tmp_path / "nvidiactl").touch()
+    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
+    fresh.setattr(graphics, "trial_render", lambda *_, **__: pytest.fail("started a process"))
+    fresh.setenv(graphics.DRIVER_VARIABLE, "nowhere.so")
+    assert "cannot be loaded (nowhere.so)" in str(graphics.graphics_trial().fault)
