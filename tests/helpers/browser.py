@@ -155,11 +155,6 @@ def views_of(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace]]
     return [views[first : first + len(LOOKS)] for first in range(0, len(views), len(LOOKS))]
 
 
-def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
-    """`assert_fit` of one page."""
-    return assert_fit([page], folder)[0]
-
-
 def assert_fit(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace]]:
     """At every width, light and dark: nothing overflows, text is legible, tiles are 1:1, and axe
     finds nothing to object to.

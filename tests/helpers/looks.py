@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 from matplotlib.lines import Line2D
 
-from pixsim.base.headline import MAX_HEADLINE_WORDS
 from pixsim.show.pages import Plate
 
 
@@ -46,15 +44,6 @@ class Elements(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
-
-
-def assert_short_headlines(folder: Path) -> None:
-    """Each answer at the top of a report has at most 30 words, without its smaller lines below."""
-    answers = re.findall(r'<p class="answer">(.*?)</p>', text_of(folder), re.DOTALL)
-    assert answers
-    for answer in answers:
-        words = re.sub(r"<[^>]*>", "", answer.partition("<small>")[0]).split()
-        assert 3 <= len(words) <= MAX_HEADLINE_WORDS, " ".join(words)
 
 
 def text_of(folder: Path) -> str:

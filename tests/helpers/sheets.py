@@ -26,14 +26,8 @@ def sheet(
     return path
 
 
-def two_sheets(folder: Path, *worst_noise_e: float) -> list[Path]:
-    """Write the sheets of a quiet and a noisy sensor, of other pixels and another shape, and of
-    worse ones.
-    """
+def two_sheets(folder: Path) -> list[Path]:
+    """Write the sheets of a quiet and a noisy sensor, of other pixels and another shape."""
     quiet = sheet(folder / "quiet.toml", prnu=0.0)
     noisy = sheet(folder / "noisy one.toml", 100.0, 15.0, "[64, 48]", prnu=0.0)
-    return [
-        quiet,
-        noisy,
-        *(sheet(folder / "worst.toml", noise_e, prnu=0.0) for noise_e in worst_noise_e),
-    ]
+    return [quiet, noisy]
