@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.claims import check
+from helpers.claims import Claim, check
 from helpers.commands import command
 from helpers.looks import lines_without_rows
 
@@ -82,6 +82,93 @@ def check_entries(data_sheet: DataSheet) -> None:
         check(entry.symbol, entry.measured, entry.true, atol=error, why="4.5 standard errors")
 
 
+# Closed forms
+
+
+def peak_efficiencies(technology: str) -> tuple[float, float]:
+    """Return the efficiency at the default wavelength, and the highest one."""
+    pixel = Pixel(technology=technology, infrared_cut_nm=650, stack={"enabled": False})
+    physics = derive(pixel)
+    highest = physics.quantum_efficiency(np.arange(300.0, 1100.0)).max() * physics.fill_factor
+    return pixel_efficiency(physics, peak_wavelength_nm(physics)), highest
+
+
+def true_value(symbol: str) -> float:
+    return by_symbol(sheet("colour"))[symbol].true
+
+
+WHITE = 3 * stream("test spectrogram").standard_normal((400, 300))
+WIDE = readout_of(pitch_um=6.5)
+# Of the reference, which sums in steps of 5 nm too; its display white is (.3127, .3290).
+with np.load(COLOUR_DATA) as matrices:
+    NOISE_GAINS = matrices["Nikon_D5100/D55/gain_srgb_bradford_opt"]
+CLAIMS = [
+    Claim(
+        "mean below full well",
+        lambda: expected_moments(3e4, 0.03, WIDE)[0],
+        frame_mean_dn(3e4, 0.03, WIDE),
+        rtol=1e-9,
+        why="quadrature",
+    ),
+    Claim(
+        "variance below full well",
+        lambda: expected_moments(3e4, 0.03, WIDE)[1],
+        frame_variance_dn2(3e4, 0.03, WIDE, fixed_pattern=False),
+        rtol=1e-3,
+        why="spread of the gain",
+    ),
+    *(
+        Claim(
+            f"the default wavelength is the peak of the response of {technology}",
+            lambda technology=technology: np.divide(*peak_efficiencies(technology)),
+            1.0,
+            rtol=1e-6,
+            why="whole nanometres",
+        )
+        for technology in ("0.35um", "4t-bsi")
+    ),
+    *(
+        Claim(
+            f"the spectrogram of white noise is flat along axis {axis}",
+            lambda axis=axis: spectrogram(WHITE, axis)[1][1:].mean(),
+            9.0,
+            rtol=0.02,
+            why="5 σ of the variance of 120 000 values",
+        )
+        for axis in (0, 1)
+    ),
+    Claim("its last frequency", lambda: spectrogram(WHITE, 0)[0][-1], 0.5),
+    Claim(
+        "SMI of another program",
+        lambda: true_value("SMI"),
+        100 - 5.5 * 1.684575708,
+        atol=1e-6,
+        why="its digits",
+    ),
+    Claim(
+        "noise gains of another program",
+        lambda: [true_value(f"G_{name}") for name in "RGB"],
+        NOISE_GAINS,
+        rtol=3e-4,
+        why="another white",
+    ),
+    *(
+        Claim(
+            f"efficiency of {channel.channel}",
+            lambda channel=channel: true_value(f"η_{channel.channel}".removesuffix("_G")),
+            100 * pixel_efficiency(channel, peak_wavelength_nm(channel)),
+            rtol=1e-12,
+        )
+        for channel in derive(colour_pixel()).channels
+    ),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
+
+
 # The model near saturation
 
 
@@ -100,14 +187,6 @@ def test_expected_moments_are_those_of_frames(share: float, options: dict[str, s
     pair = estimators.pair(*frames)
     check("mean", pair.mean_dn, mean_dn, rtol=3e-4, why="PRNU of 200² pixels")
     check("variance", pair.variance_dn2, variance_dn2, rtol=0.05, why="7 σ")
-
-
-def test_expected_moments_below_full_well_are_the_closed_form() -> None:
-    readout = readout_of(pitch_um=6.5)
-    mean_dn, variance_dn2 = expected_moments(3e4, 0.03, readout)
-    check("mean", mean_dn, frame_mean_dn(3e4, 0.03, readout), rtol=1e-9, why="quadrature")
-    wanted = frame_variance_dn2(3e4, 0.03, readout, fixed_pattern=False)
-    check("variance", variance_dn2, wanted, rtol=1e-3, why="spread of the gain")
 
 
 def test_spread_of_the_gain_lowers_the_peak_of_the_variance() -> None:
@@ -138,15 +217,6 @@ def test_experiment_has_the_exposures_of_the_standard() -> None:
     assert 6 <= black_sigmas < 6.5
     stated = make_experiment(Pixel(pitch_um=5.3, bits=12, black_level_dn=100.5))
     assert stated.readout.adc.black_level_dn == stated.pixel.black_level_dn == 100.5
-
-
-@pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
-def test_default_wavelength_is_the_peak_of_the_response(technology: str) -> None:
-    pixel = Pixel(technology=technology, infrared_cut_nm=650, stack={"enabled": False})
-    physics = derive(pixel)
-    highest = physics.quantum_efficiency(np.arange(300.0, 1100.0)).max() * physics.fill_factor
-    peak = pixel_efficiency(physics, peak_wavelength_nm(physics))
-    check("efficiency", peak, highest, rtol=1e-6, why="whole nanometres")
 
 
 def test_frames_depend_on_seed_and_key_only() -> None:
@@ -335,25 +405,6 @@ def test_colour_of_a_few_noisy_pixels_is_measured_not_refused() -> None:
 # Colour
 
 
-def test_colour_is_that_of_another_program() -> None:
-    """SMI and noise gains of the reference, which sums in steps of 5 nm too; its display white is
-    (.3127, .3290).
-    """
-    with np.load(COLOUR_DATA) as data:
-        gains = data["Nikon_D5100/D55/gain_srgb_bradford_opt"]
-    lines = by_symbol(sheet("colour"))
-    check("SMI", lines["SMI"].true, 100 - 5.5 * 1.684575708, atol=1e-6, why="its digits")
-    check("gains", [lines[f"G_{name}"].true for name in "RGB"], gains, rtol=3e-4, why="white")
-
-
-def test_channels_have_their_own_efficiencies() -> None:
-    lines = by_symbol(sheet("colour"))
-    for channel in derive(colour_pixel()).channels:
-        symbol = "η" if channel.channel == "G" else f"η_{channel.channel}"
-        wanted = 100 * pixel_efficiency(channel, peak_wavelength_nm(channel))
-        check(symbol, lines[symbol].true, wanted, rtol=1e-12, why="rounding")
-
-
 def test_colour_of_four_pixels_read_as_one_has_twice_their_snr() -> None:
     """Shot noise alone, of luminance and of chrominance; the sheet is of the sum."""
     noises = "read_noise_e", "dark_current_e_per_s", "prnu", "dsnu", "offset_fpn", "column_fpn"
@@ -382,15 +433,6 @@ def test_crosstalk_raises_the_noise_gains() -> None:
     for primary in range(3):
         gains = [noise_gain(truth.colour_chart, primary) for truth in (alone, mixed)]
         assert gains[1] > 1.05 * gains[0], primary
-
-
-def test_spectrogram_of_white_noise_is_flat() -> None:
-    """120 000 values: 2 % are 5 σ of their variance."""
-    white = 3 * stream("test spectrogram").standard_normal((400, 300))
-    for axis in (0, 1):
-        frequency, power = spectrogram(white, axis)
-        assert frequency[-1] == 0.5
-        check("power", power[1:].mean(), 9.0, rtol=0.02, why="5 σ")
 
 
 # Files

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.claims import check
+from helpers.claims import Claim, check
 from scipy.fft import dct
 
 from pixsim import optics
@@ -13,10 +13,42 @@ NM = np.array([550.0])
 ONE = np.array([1.0])
 
 
-@pytest.mark.parametrize("shape", [(32, 20), (1, 7), (7, 1), (1, 1)])
-def test_flat_field_is_unchanged(shape: tuple[int, int]) -> None:
-    flat = np.full(shape, 3.0)
-    check("field", optics.diffract(flat, 2.0, NM, ONE, 4.0), flat, atol=1e-12, why="rounding")
+FLAT = [np.full(shape, 3.0) for shape in ((32, 20), (1, 7), (7, 1), (1, 1))]
+DARK = np.zeros((8, 8))
+POINT = np.eye(1, 8192)  # in a corner it holds all cosines
+OTF = optics.diffraction_otf(np.arange(8192) / (2 * 8192 * 0.5e-3), 550.0, 4.0)
+CLAIMS = [
+    *(
+        Claim(
+            f"a flat field of {flat.shape} is unchanged",
+            lambda flat=flat: optics.diffract(flat, 2.0, NM, ONE, 4.0),
+            flat,
+            atol=1e-12,
+        )
+        for flat in FLAT
+    ),
+    *(
+        Claim(
+            f"a sum of {len(pictures)} pictures without light is dark",
+            lambda pictures=pictures: optics.diffract_sum(pictures, (8, 8), 1.0, NM, 8.0),
+            DARK,
+        )
+        for pictures in ([], [(DARK + 1, np.zeros(1))])
+    ),
+    Claim(
+        "all frequencies are scaled by the OTF",
+        lambda: dct(optics.diffract(POINT, 0.5, NM, ONE, 4.0)[0]) / dct(POINT[0]),
+        OTF,
+        atol=1e-7,
+        why="a table of 32768 frequencies: 3e-8",
+    ),
+    Claim("up to the cut-off, below order 3724", lambda: np.count_nonzero(OTF), 3724),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
 
 
 @pytest.mark.parametrize("pitch_um", [2.65, 0.25])
@@ -33,15 +65,6 @@ def test_cosine_is_scaled_by_the_otf(pitch_um: float, row_order: int, column_ord
     otf = (weight * optics.diffraction_otf(frequency, nm, 4.0)).sum() / 3.5
     blurred = optics.diffract(picture, pitch_um, nm, weight, 4.0)
     check("picture", blurred, otf * picture, atol=1e-7, why="a table of 32768 frequencies: 3e-8")
-
-
-def test_all_frequencies_are_scaled_by_the_otf() -> None:
-    """A point in a corner holds all cosines; up to order 3723 they are below the cut-off."""
-    point = np.eye(1, 8192)
-    ratio = dct(optics.diffract(point, 0.5, NM, ONE, 4.0)[0]) / dct(point[0])
-    exact = optics.diffraction_otf(np.arange(8192) / (2 * 8192 * 0.5e-3), 550.0, 4.0)
-    check("OTF", ratio, exact, atol=1e-7, why="a table of 32768 frequencies: 3e-8")
-    assert np.count_nonzero(exact) == 3724
 
 
 @pytest.mark.parametrize("shape", [(24, 40), (1, 33)])
@@ -63,12 +86,6 @@ def test_sum_of_pictures_is_that_of_their_blurs(shape, monkeypatch: pytest.Monke
     monkeypatch.setattr("pixsim.base.arrays.STRIP_SAMPLES", 5)
     strips = optics.diffract_sum(zip(pictures, weights, strict=True), shape, 1.0, nm, 8.0)
     check("strips", strips, together, why="the same bits")
-
-
-def test_sum_of_nothing_is_dark() -> None:
-    dark = np.zeros((8, 8))
-    for pictures in ([], [(np.ones((8, 8)), np.zeros(1))]):
-        check("sum", optics.diffract_sum(pictures, (8, 8), 1.0, NM, 8.0), dark, why="no light")
 
 
 def test_transfer_behind_the_lens_multiplies_its_otf() -> None:

@@ -5,7 +5,9 @@ test_refusals.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -116,23 +118,6 @@ def test_spellings_of_a_unit_have_one_factor(key: tuple[float, bool], texts: str
         assert (unit.factor, unit.radiance, unit.spectral) == (*key, True), text
 
 
-@pytest.mark.parametrize("kind", ["exr", "npz", "hdr"])
-def test_units_that_a_file_lacks_may_be_stated(kind: str, tmp_path: Path) -> None:
-    path = write_light(kind, tmp_path / "a", light(), None)
-    image = read_irradiance(path, pitch_um=2.5, units="mW/m^2/nm")
-    check("milliwatts", image.data, 1e-3 * light(), rtol=1e-6, why="float32")
-    assert image.header["units"] == "mW/m^2/nm"
-
-
-@pytest.mark.parametrize(
-    ("in_file", "stated", "factor"),
-    [("mW/m2/nm", "W m^-2 um^-1", 1e-3), ("DN", UNIT, 1.0), ("W.m^-2", UNIT, 1.0)],
-)
-def test_stated_units_complete_those_of_a_file(in_file, stated, factor, tmp_path: Path) -> None:
-    image = read_irradiance(write_npz(tmp_path / "a.npz", units=in_file), units=stated)
-    check("values", image.data, factor * light(), rtol=1e-6, why="float32")
-
-
 # Layouts: each has the same cube
 
 
@@ -211,66 +196,113 @@ def test_numbers_of_any_type_are_read(kind: str, tmp_path: Path) -> None:
         assert np.array_equal(read_irradiance(path, pitch_um=1.0).data, values)
 
 
-def test_names_of_channels_give_sorted_wavelengths(tmp_path: Path) -> None:
-    """A frequency is c/λ; 1000 nm sorts before 380 nm as text."""
-    names = ("S0.1000nm", "S0.380,5nm", "S0.4,5E-7m", "S0.499654,0966666667GHz", "S0.0,7e-3mm")
-    data = light((3, 4, 5))
-    image = read_irradiance(
-        write_exr(tmp_path / "a.exr", stokes(data, names), emissiveUnits=UNIT), pitch_um=1.0
-    )
-    expected = [380.5, 450.0, 600.0000000001, 700.0, 1000.0]
-    check("wavelengths", image.wavelength_nm, expected, rtol=1e-12, why="twelve digits")
-    assert np.array_equal(bits(image.data), bits(data[:, :, [1, 2, 3, 4, 0]]))
-
-
-def test_handwritten_envi_header(tmp_path: Path) -> None:
-    (tmp_path / "scan.img").write_bytes(b"skip" + np.arange(1, 13, dtype=">f4").tobytes())
-    (tmp_path / "scan.hdr").write_text(
-        "ENVI\ndescription = { Radiance }\nsamples = 3\nlines = 2\nbands = 2\nheader offset ="
-        " 4\nfile type = ENVI Standard\ndata type = 4\ninterleave = bsq\nbyte order = 1\nwavelength"
-        " units = Micrometers\nwavelength = { 0.5,\n 0.55 }\nfwhm = { 0.01, 0.02 }\ndata gain"
-        " values = {1.0, 1.0}\nData Units = W m^-2 um^-1\npitch_um = 4\ndata ignore value = -9999\n"
-    )
-    image = read_irradiance(tmp_path / "scan.hdr")
-    expected = 1e-3 * np.arange(1, 13).reshape(2, 2, 3).transpose(1, 2, 0)
-    check("values", image.data, expected, rtol=1e-7, why="float32")
-    check("wavelengths", image.wavelength_nm, [500, 550], rtol=1e-15, why="decimal")
-    check("widths", image.band_width_nm, [10, 20], rtol=1e-15, why="decimal")
-    assert (image.pitch_um, image.header["units"]) == (4, "W m^-2 um^-1")
-
-
-# Bands and pitch
+# Numbers of a file
 
 UNEVEN = [400.0, 410.0, 430.0]
-PBRT = [f"{360 + 470 * (bucket + 0.5) / 16:.3f}".replace(".", ",") for bucket in range(16)]
 ONE = {"data": light((4, 5, 1)), "wavelength_nm": [633.0]}
 LINE = {"S0.633nm": light()[:, :, 0]}
-BANDS = {
-    "halfway between neighbours": (lambda path: write_npz(path / "a.npz", wavelength_nm=UNEVEN), [10, 15, 20]),
-    "stated": (lambda path: write_npz(path / "a.npz", wavelength_nm=UNEVEN, band_width_nm=[1, 2, 3.5]), [1, 2, 3.5]),
-    "descending": (
-        lambda path: write_npz(path / "a.npz", wavelength_nm=NM[::-1], band_width_nm=[3.0, 2.0, 1.0]), [1, 2, 3]
-    ),
-    "one number": (lambda path: write_npz(path / "a.npz", band_width_nm=2), [2, 2, 2]),
-    "one band": (lambda path: write_npz(path / "a.npz", **ONE, band_width_nm=2), [2]),
-    "an attribute": (lambda path: write_exr(path / "a.exr", LINE, emissiveUnits=UNIT, band_width_nm=2.0), [2]),
+# A frequency is c/λ; 1000 nm sorts before 380 nm as text.
+NAMES = ("S0.1000nm", "S0.380,5nm", "S0.4,5E-7m", "S0.499654,0966666667GHz", "S0.0,7e-3mm")
+NAMED = stokes(light((3, 4, 5)), NAMES)
+SCAN = np.arange(1, 13)
+HANDWRITTEN = (
+    "ENVI\ndescription = { Radiance }\nsamples = 3\nlines = 2\nbands = 2\nheader offset ="
+    " 4\nfile type = ENVI Standard\ndata type = 4\ninterleave = bsq\nbyte order = 1\nwavelength"
+    " units = Micrometers\nwavelength = { 0.5,\n 0.55 }\nfwhm = { 0.01, 0.02 }\ndata gain"
+    " values = {1.0, 1.0}\nData Units = W m^-2 um^-1\npitch_um = 4\ndata ignore value = -9999\n"
+)
+# 16 buckets over 360-830 nm, three decimals: the channels that pbrt-v4's issue 310 lists.
+PBRT = [f"{360 + 470 * (bucket + 0.5) / 16:.3f}".replace(".", ",") for bucket in range(16)]
+RADIANCE = light((2, 2, 16)).astype(np.float16)
+FILM = stokes(RADIANCE, tuple(f"S0.{nm}nm" for nm in PBRT))
+FILM |= dict.fromkeys("RGB", np.ones((2, 2), np.float16))
+FAR = pixsim.Camera(f_number=4.0, object_distance_m=1e9, focal_length_mm=1000.0, die_mm=0.01)
+DIE = pixsim.Camera(die_mm=5 * 1.7e-3)
+CANCELLING = [[1.0, 1.0, 1.0], [0.0, -0.9, 0.0]], np.ones((2, 4, 5))
+
+
+def handwritten(folder: Path) -> Path:
+    (folder / "scan.img").write_bytes(b"skip" + SCAN.astype(">f4").tobytes())
+    (folder / "scan.hdr").write_text(HANDWRITTEN)
+    return folder / "scan.hdr"
+
+
+def own_exr(folder: Path) -> Path:
+    pixsim.write_exr(folder / "a.exr", SpectralImage(NM, 10.0, 2.5, factors=CANCELLING))
+    return folder / "a.exr"
+
+
+def npz(**fields: object) -> Callable[[Path], Path]:
+    return lambda folder: write_npz(folder / "a.npz", **fields)
+
+
+def exr(channels: dict[str, np.ndarray], **fields: object) -> Callable[[Path], Path]:
+    return lambda folder: write_exr(folder / "a.exr", channels, **fields)
+
+
+def widths(image: SpectralImage) -> np.ndarray:
+    return image.band_width_nm
+
+
+def wavelengths(image: SpectralImage) -> np.ndarray:
+    return image.wavelength_nm
+
+
+def values(image: SpectralImage) -> np.ndarray:
+    return image.data
+
+
+def pitch(image: SpectralImage) -> float:
+    return image.pitch_um
+
+
+OF_UNIT = {"emissiveUnits": UNIT}
+FREE = {"pitch_um": 2.5}
+# name: file, options, number, expected
+NUMBERS: dict[str, tuple[Callable[[Path], Path], dict[str, object], Callable[..., Any], Any]] = {
+    "widths halfway between neighbours": (npz(wavelength_nm=UNEVEN), {}, widths, [10, 15, 20]),
+    "stated widths": (npz(wavelength_nm=UNEVEN, band_width_nm=[1, 2, 3.5]), {}, widths, [1, 2, 3.5]),
+    "descending widths": (npz(wavelength_nm=NM[::-1], band_width_nm=[3.0, 2.0, 1.0]), {}, widths, [1, 2, 3]),
+    "one width": (npz(band_width_nm=2), {}, widths, [2, 2, 2]),
+    "width of one band": (npz(**ONE, band_width_nm=2), {}, widths, [2]),
+    "an attribute": (exr(LINE, **OF_UNIT, band_width_nm=2.0), FREE, widths, [2]),
     **{
-        f"fwhm {fwhm}": (lambda path, fwhm=fwhm: write_envi(path / "a.hdr", fwhm=[fwhm] * 3), [min(fwhm, 10.0)] * 3)
+        f"fwhm {fwhm}": (lambda path, fwhm=fwhm: write_envi(path / "a.hdr", fwhm=[fwhm] * 3), FREE, widths, [min(fwhm, 10.0)] * 3)
         for fwhm in (4.0, 9.95, 10.05, 25.0)
     },
+    "bands named by their edges": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, wavelengths, 410.0 + 20 * np.arange(16)),
+    "widths of these": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, widths, np.full(16, 20.0)),
+    "sorted names": (exr(NAMED, **OF_UNIT), FREE, wavelengths, [380.5, 450.0, 600.0000000001, 700.0, 1000.0]),
+    "bands of sorted names": (exr(NAMED, **OF_UNIT), FREE, values, light((3, 4, 5))[:, :, [1, 2, 3, 4, 0]]),
+    "values of a header by hand": (handwritten, {}, values, 1e-3 * SCAN.reshape(2, 2, 3).transpose(1, 2, 0)),
+    "its wavelengths": (handwritten, {}, wavelengths, [500, 550]),
+    "its widths": (handwritten, {}, widths, [10, 20]),
+    "its pitch": (handwritten, {}, pitch, 4.0),
+    "factors that cancel in a band": (own_exr, {}, lambda image: image.band(1), np.full((4, 5), 0.1)),
+    "a stated pitch": (npz(pitch_um=None), {"pitch_um": 7.0}, pitch, 7.0),
+    "pitch of the die": (npz(pitch_um=None), {"camera": CAMERA}, pitch, 10.0),
+    "irradiance needs no camera": (npz(pitch_um=None), {"camera": CAMERA}, values, light()),
+    "pitch of a file in float32": (exr(stokes(light()), **OF_UNIT, pitch_um=1.7), {}, pitch, 1.7),
+    "and of the die": (exr(stokes(light()), **OF_UNIT, pitch_um=1.7), {"camera": DIE, "pitch_um": 1.7}, pitch, 1.7),
+    **{
+        f"units of a {kind} file": (lambda path, kind=kind: write_light(kind, path / "a", light(), None), FREE | {"units": "mW/m^2/nm"}, values, 1e-3 * light())
+        for kind in ("exr", "npz", "hdr")
+    },
+    **{
+        f"stated units complete {in_file}": (npz(units=in_file), {"units": stated}, values, factor * light())
+        for in_file, stated, factor in (("mW/m2/nm", "W m^-2 um^-1", 1e-3), ("DN", UNIT, 1.0), ("W.m^-2", UNIT, 1.0))
+    },
+    # All but on the axis: π/(4N²+1).
+    "a film of pbrt is radiance per nm": (exr(FILM, emissiveUnits="W.m^-2.sr^-1"), {"camera": FAR}, values, RADIANCE.astype(float) * (math.pi / 65)),
+    "widths of its buckets": (exr(FILM, emissiveUnits="W.m^-2.sr^-1"), {"camera": FAR}, lambda image: np.round(image.band_width_nm, 1), np.full(16, 29.4)),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", BANDS)
-def test_band_widths(name: str, tmp_path: Path) -> None:
-    make, expected = BANDS[name]
-    assert read_irradiance(make(tmp_path), pitch_um=2.5).band_width_nm.tolist() == expected
-
-
-def test_bands_named_by_their_edges() -> None:
-    image = read_irradiance(CASES / "17-exr-mitsuba06-names/names.exr", CAMERA)
-    assert image.wavelength_nm.tolist() == [410.0 + 20 * band for band in range(16)]
-    assert image.band_width_nm.tolist() == [20.0] * 16
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_of_a_file(name: str, tmp_path: Path) -> None:
+    make, options, number, expected = NUMBERS[name]
+    image = read_irradiance(make(tmp_path), **options)
+    check(name, number(image), np.array(expected), rtol=1e-6, why="float32")
 
 
 def test_few_wide_bands_are_noted() -> None:
@@ -278,36 +310,7 @@ def test_few_wide_bands_are_noted() -> None:
         read_irradiance(CASES / "20-exr-sparse/rgb3.exr", CAMERA)
 
 
-def test_pitch_is_that_of_the_file_the_argument_or_the_die(tmp_path: Path) -> None:
-    path = write_npz(tmp_path / "a.npz", pitch_um=None)
-    assert read_irradiance(path, pitch_um=7.0).pitch_um == 7
-    image = read_irradiance(path, CAMERA)
-    assert image.pitch_um == 10
-    assert np.array_equal(bits(image.data), bits(light())), "irradiance needs no camera"
-    float32 = write_exr(tmp_path / "c.exr", stokes(light()), emissiveUnits=UNIT, pitch_um=1.7)
-    assert read_irradiance(float32).pitch_um == pytest.approx(1.7, rel=1e-7)
-    exact = pixsim.Camera(die_mm=5 * 1.7e-3)
-    assert read_irradiance(float32, exact, pitch_um=1.7).pitch_um == 1e3 * exact.die_mm / 5
-
-
 # Radiance
-
-
-def test_film_of_pbrt_is_radiance_per_nm(tmp_path: Path) -> None:
-    """16 buckets over 360-830 nm, three decimals: the channels that pbrt-v4's issue 310 lists."""
-    assert PBRT[::15] == ["374,688", "815,312"]
-    radiance = light((2, 2, 16)).astype(np.float16)
-    channels = stokes(radiance, tuple(f"S0.{nm}nm" for nm in PBRT))
-    channels |= dict.fromkeys("RGB", np.ones((2, 2), np.float16))
-    path = write_exr(tmp_path / "pbrt.exr", channels, emissiveUnits="W.m^-2.sr^-1")
-    camera = pixsim.Camera(f_number=4.0, object_distance_m=1e9, focal_length_mm=1000.0, die_mm=0.01)
-    image = read_irradiance(path, camera)
-    # All but on the axis: π/(4N²+1).
-    expected = radiance.astype(float) * (math.pi / 65)
-    check("irradiance", image.data, expected, rtol=1e-6, why="float32, 5 µm from the axis")
-    check("widths", image.band_width_nm, np.full(16, 470 / 16), rtol=1e-4, why="three decimals")
-    assert image.header["camera"] == camera.model_dump()
-    assert image.pitch_um == 5.0
 
 
 def test_published_files_of_the_layout() -> None:
@@ -368,13 +371,6 @@ def test_firefly_does_not_set_the_exposure() -> None:
         for picture in (image, plain)
     ]
     assert times_s[0] == pytest.approx(times_s[1], rel=2e-3)  # cos⁴ of neighbours
-
-
-def test_factors_may_cancel_in_a_band(tmp_path: Path) -> None:
-    factors = [[1.0, 1.0, 1.0], [0.0, -0.9, 0.0]], np.ones((2, 4, 5))
-    pixsim.write_exr(tmp_path / "a.exr", SpectralImage(NM, 10.0, 2.5, factors=factors))
-    band = read_irradiance(tmp_path / "a.exr").band(1)
-    check("band", band, np.full((4, 5), 0.1), rtol=1e-6, why="float32")
 
 
 def test_truncated_envi_header_is_refused_or_complete(tmp_path: Path) -> None:

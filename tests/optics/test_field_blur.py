@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from helpers.blur import point_spread
-from helpers.claims import check
+from helpers.claims import Claim, check
 from scipy.integrate import quad
 from scipy.special import j0, jv
 
@@ -108,15 +108,46 @@ def rms(values: Array) -> float:
 # Kernels
 
 
-@pytest.mark.parametrize("from_z", [0.5, 5.0, 19.0, 21.0, 60.0])
-def test_veil_falls_as_the_cube_of_the_distance(from_z: float) -> None:
-    """The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
-    beyond z = 20.
-    """
-    z = np.array([from_z, 1.4 * from_z])
+def veil_between(z: Array) -> float:
     near, far = veil_mtf(z / (2 * np.pi * 40e-3), 40.0) / z
-    right, _ = quad(lambda z: j0(z) / z**2, *z, epsabs=1e-12)
-    check("difference", near - far, right, atol=1e-10, why="quadrature")
+    return near - far
+
+
+TURNS = np.linspace(-0.5, 0.5, 101, dtype=np.float32)
+FAST = np.array([1.0, 1.5, 300.0, 1e15], np.float32)
+CLAIMS = [
+    # The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
+    # beyond z = 20.
+    *(
+        Claim(
+            f"a veil falls as the cube of the distance, from {z:g}",
+            lambda z=z: veil_between(np.array([z, 1.4 * z])),
+            quad(lambda z: j0(z) / z**2, z, 1.4 * z, epsabs=1e-12)[0],
+            atol=1e-10,
+            why="quadrature",
+        )
+        for z in (0.5, 5.0, 19.0, 21.0, 60.0)
+    ),
+    Claim(
+        "the mean of a phase is its sinc",
+        lambda: mean_of_phase(TURNS),
+        np.sinc(TURNS),
+        atol=1e-5,
+        why="the series",
+    ),
+    Claim(
+        "and nothing where it turns faster",
+        lambda: mean_of_phase(FAST),
+        np.zeros(4),
+        atol=0.01,
+        why="aberrations of many waves",
+    ),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
 
 
 def test_least_squares_are_those_of_lapack() -> None:
@@ -130,13 +161,6 @@ def test_least_squares_are_those_of_lapack() -> None:
     check("fit", coefficients @ terms, right @ terms, atol=1e-9, why="rounding")
     twice, _ = least_squares(terms[[1, 1]], terms[1])
     check("one of two equal terms", twice, [1.0, 0.0], atol=1e-12, why="rounding")
-
-
-def test_mean_of_a_phase_is_its_sinc_and_nothing_where_it_turns_faster() -> None:
-    waves = np.linspace(-0.5, 0.5, 101, dtype=np.float32)
-    check("sinc", mean_of_phase(waves), np.sinc(waves), atol=1e-5, why="the series")
-    fast = np.array([1.0, 1.5, 300.0, 1e15], np.float32)
-    check("aberrations of many waves", mean_of_phase(fast), np.zeros(4), atol=0.01, why="nothing")
 
 
 def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:

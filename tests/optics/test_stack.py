@@ -110,23 +110,30 @@ PUBLISHED = [
 ]
 
 
-@pytest.mark.parametrize(("pitch", "fill", "height", "bare", "lens", "oblique", "wave"), PUBLISHED)
-def test_usual_pixels_have_the_known_efficiencies(
-    pitch, fill, height, bare, lens, oblique, wave
-) -> None:
-    sizes = pitch, pitch * math.sqrt(fill), height, 1.5
-    on_axis = disc_pupil([numerical_aperture(4.0), numerical_aperture(1.4)])
-    tilted = disc_pupil(numerical_aperture(4.0), [10.0, 20.0])
-    microlens = Stack(*sizes, refraction="paraxial")
-    opening = Stack(*sizes, False, refraction="paraxial")
-    for name, stack, pupil, wanted, atol in (
-        ("bare", opening, on_axis, bare, 0.0011),
-        ("microlens", microlens, on_axis, lens, 0.0011),
-        ("oblique", microlens, tilted, oblique, 0.0051),
-    ):
-        check(name, collected_shares(stack, pupil)[:, 2, 2], wanted, atol=atol, why="its digits")
-    diffracted = collected_shares(microlens, WAVE, [550.0])[0, 2, 2]
-    check("wave", diffracted, wave, atol=0.0006, why="its digits")
+def published(pitch: float, fill: float, height: float, microlens: bool = False) -> Stack:
+    return Stack(pitch, pitch * math.sqrt(fill), height, 1.5, microlens, refraction="paraxial")
+
+
+ON_AXIS = disc_pupil([numerical_aperture(4.0), numerical_aperture(1.4)])
+TILTED = disc_pupil(numerical_aperture(4.0), [10.0, 20.0])
+EFFICIENCIES = [
+    Claim(
+        f"{name} of {pitch} µm",
+        lambda sizes=(pitch, fill, height), lens=lens, light=light: collected_shares(
+            published(*sizes, lens), *light
+        )[..., 2, 2],
+        wanted,
+        atol=atol,
+        why="its digits",
+    )
+    for pitch, fill, height, bare, microlens, oblique, wave in PUBLISHED
+    for name, lens, light, wanted, atol in (
+        ("bare", False, (ON_AXIS,), bare, 0.0011),
+        ("microlens", True, (ON_AXIS,), microlens, 0.0011),
+        ("oblique light", True, (TILTED,), oblique, 0.0051),
+        ("a wave", True, (WAVE, [550.0]), [wave], 0.0006),
+    )
+]
 
 
 def test_paraxial_diffraction_is_near_rayleigh_and_sommerfeld() -> None:
@@ -165,6 +172,7 @@ ENDS = [((2.0 * k - 0.6) / SPOT, (2.0 * k + 0.6) / SPOT) for k in range(-2, 3)]
 LINE = np.array([quad(lambda v: np.sinc(v) ** 2, *ends, epsabs=1e-13)[0] for ends in ENDS])
 CORNER = np.pad(np.full((2, 2), 0.25), ((2, 1), (1, 2)))
 FLAT = Stack(6.5, 6.5 * math.sqrt(0.3), 1e-6, 1.5, False)
+WIDE = disc_pupil(numerical_aperture(1.4), [0.0, 15.0])
 NYQUIST = 1e3 / (2 * 6.5)
 PUPILS = thin_lens_pupil(1.4, [0.0, 0.3])
 OPENING = Stack(6.5, 3.5, 8.0, 1.5, False)
@@ -283,6 +291,28 @@ CLAIMS = [
     ),
     Claim("side under a microlens", lambda: aperture_side_um(Stack(6.5, 3.5, 8.0, 1.5), PUPILS), np.full((2, 2), 6.5)),
     Claim("Fresnel number n p²/(4 λ h)", lambda: Stack(1.4, 0.8, 2.5, 1.5).fresnel_number(700.0), 1.5 * 1.4**2 / (4 * 0.7 * 2.5), rtol=1e-12),
+    *(
+        Claim(
+            f"a box of the spread of {pitch} µm has the MTF of the aperture",
+            lambda sizes=(pitch, fill, height): (
+                aperture_mtf(published(*sizes), WIDE, [500 / sizes[0], 0.0], [0.0, 500 / sizes[0]])
+                - np.sinc(0.5 / sizes[0] * aperture_side_um(published(*sizes), WIDE))
+            ),
+            np.zeros((2, 2)),
+            atol=0.002,
+            why="stated",
+        )
+        for pitch, fill, height, *_ in PUBLISHED
+    ),
+    Claim(
+        "light that diffraction takes halves with the wavelength",
+        lambda: (1 - collected_shares(Stack(3.3, 1.95, 5.0, 1.5), ON_AXIS, [40.0, 20.0, 10.0])[0, :, 2, 2]) * [1, 2, 4]
+        / (1 - collected_shares(Stack(3.3, 1.95, 5.0, 1.5), ON_AXIS, [40.0])[0, 0, 2, 2]),
+        np.ones(3),
+        rtol=0.05,
+        why="the next term",
+    ),
+    Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),
     Claim(
         "no light of a giant pixel is lost, 1 - 2/(π² u)",
@@ -294,7 +324,7 @@ CLAIMS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+@pytest.mark.parametrize("claim", [*EFFICIENCIES, *CLAIMS], ids=str)
 def test_closed_forms(claim: Claim) -> None:
     claim.check()
 
@@ -313,14 +343,6 @@ def test_light_is_lost_below_the_threshold_only(side, height, index, refraction)
     apertures = [numerical_aperture(threshold * factor) for factor in (1 + 1e-9, 1 - 1e-9)]
     lost = 1 - collected_shares(stack, disc_pupil(apertures))[:, 2, 2]
     assert abs(lost[0]) < 2e-15 < 5e-15 < lost[1] < 1e-12
-
-
-def test_diffraction_vanishes_with_the_wavelength() -> None:
-    """In proportion: tails of 1/(π² u) on each side."""
-    stack = Stack(3.3, 1.95, 5.0, 1.5)
-    shares = collected_shares(stack, disc_pupil(numerical_aperture(4.0)), [40.0, 20.0, 10.0])
-    missing = 1 - shares[:, 2, 2]
-    check("missing light", missing[:-1] / missing[1:], [2.0, 2.0], rtol=0.05, why="next term")
 
 
 # Conservation and symmetry
@@ -392,42 +414,14 @@ def test_boundary_integral_is_the_mean_over_rays(microlens: bool, refraction: st
         assert 0.1 < shares.sum() < 0.99
 
 
-def test_points_of_the_sensor_are_independent() -> None:
+@pytest.mark.parametrize("place", [(0, 0), (1, 2)])
+@pytest.mark.parametrize("nm", [None, [450.0, 650.0]], ids=["rays", "waves"])
+def test_points_of_the_sensor_are_independent(place: tuple[int, int], nm) -> None:
     stack = Stack(2.2, 1.3, 3.5, 1.5, shift_um="optimal")
-    deg = np.linspace(0, 35, 6).reshape(2, 3)
-    azimuth_deg = np.linspace(0, 300, 6).reshape(2, 3)
-    pupils = disc_pupil(0.3, deg, azimuth_deg)
-    together = collected_shares(stack, pupils)
-    diffracted = collected_shares(stack, pupils, [450.0, 650.0])
-    for place in np.ndindex(2, 3):
-        alone = disc_pupil(0.3, deg[place], azimuth_deg[place])
-        shares = collected_shares(stack, alone)
-        check("geometric", together[place], shares, atol=1e-14, why="rounding")
-        shares = collected_shares(stack, alone, [450.0, 650.0])
-        check("diffracted", diffracted[place], shares, atol=2e-8, why="another table of the spot")
-    bare = Stack(2.2, 1.3, 3.5, 1.5, microlens=False)
-    shares = collected_shares(bare, pupils, [450.0, 650.0])[..., 1, :, :]
-    check("bare", shares, collected_shares(bare, pupils), why="the same at each wavelength")
-    assert collected_shares(stack, disc_pupil(np.empty(0))).shape == (0, 5, 5)
-
-
-@BOTH
-def test_public_function_is_the_inner_part_of_the_kernel(refraction: str) -> None:
-    stack, pupil = reference_stack("A7_small_f2_cra20_az30_shift", "photodiode", refraction)
-    light = {"f_number": 2.0, "chief_ray_deg": 20, "azimuth_deg": 30, "shift_um": (0.4, 0.15)}
-    shares = optics.stack_collection(2.2, 1.3, 3.5, 1.5, **light, refraction=refraction)
-    check("shares", shares, collected_shares(stack, pupil)[1:-1, 1:-1], why="the same bits")
-
-
-@pytest.mark.parametrize(("pitch", "fill", "height"), [row[:3] for row in PUBLISHED])
-def test_box_of_the_same_spread_has_the_mtf_of_the_aperture(pitch, fill, height) -> None:
-    stack = Stack(pitch, pitch * math.sqrt(fill), height, 1.5, False)
-    pupils = disc_pupil(numerical_aperture(1.4), [0.0, 15.0])
-    nyquist = 500 / pitch
-    mtf = aperture_mtf(stack, pupils, [nyquist, 0.0], [0.0, nyquist])
-    sides_um = aperture_side_um(stack, pupils)
-    check("MTF", np.sinc(1e-3 * nyquist * sides_um), mtf, atol=0.002, why="stated")
-    assert (sides_um < 0.95 * stack.photodiode_side_um).all(), "oblique light narrows the aperture"
+    deg, azimuth_deg = np.linspace([0, 0], [35, 300], 6).T.reshape(2, 2, 3)
+    together = collected_shares(stack, disc_pupil(0.3, deg, azimuth_deg), nm)
+    alone = collected_shares(stack, disc_pupil(0.3, deg[place], azimuth_deg[place]), nm)
+    check("shares", together[place], alone, atol=2e-8, why="another table of the spot")
 
 
 def test_rays_of_wide_pixels_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
