@@ -191,6 +191,14 @@ def test_coarser_film_conserves_light(planes: dict[str, Any], factor: int) -> No
     np.testing.assert_allclose(coarse.mean_spectrum(), fine.mean_spectrum(), rtol=1e-6)
 
 
+def test_coarser_film_has_the_light_beyond_the_picture() -> None:
+    whole = np.random.default_rng(7).random((24, 24)).astype(np.float32)
+    fine = light(np.ones((16, 16))).with_planes(whole[None], margin=4)
+    coarse = coarser(fine, 2)
+    assert (coarse.shape, coarse.margin) == ((8, 8), 2)
+    np.testing.assert_allclose(coarse.whole.planes[0], block_means(whole, 12), rtol=1e-6)
+
+
 def test_coarser_film_has_whole_blocks() -> None:
     """A cut picture would be another one."""
     shapes = [(16, 24), (16, 26), (8, 24)]
@@ -228,6 +236,19 @@ def test_parts_behind_a_real_lens_have_the_blur_of_their_place(max_count: int | 
             assert (part.rate_e_per_s_um2 - expected).std() < 0.1 * expected.std()
 
 
+def test_part_at_the_edge_of_a_picture_has_the_light_beyond_it() -> None:
+    """As a part inside of a larger picture has it; mirrored light would differ by its contrast."""
+    image, behind = behind_a_lens(2.0)
+    inner = image.with_planes(image.planes, margin=96)
+    rates = []
+    for picture, first in ((image, 96), (inner, 0)):
+        region = (slice(first, first + 64),) * 2
+        films = BehindLens.of(picture, behind).film_lights([region], 1)
+        rates.append(films[0][0][0].rate_e_per_s_um2)
+    inside, at_edge = rates
+    assert (at_edge - inside).std() < 0.02 * inside.std()
+
+
 # --- the film that is measured --------------------------------------------------------------------
 
 
@@ -252,6 +273,14 @@ def test_film_behind_a_denoiser_that_adapts_is_that_behind_the_linear_bound() ->
     )
     assert denoised == bound
     assert denoised.delta_e != raw.delta_e
+
+
+def test_films_have_the_noise_of_a_frame() -> None:
+    """Of a uniform picture, whose mean ΔE is due to noise alone; over 9000 dots it scatters by 1 %."""
+    image = light(np.full((256, 256), 0.5))
+    score = pixsim.evaluate(image, CAMERA, COARSE_PIXEL, display=Display(dots=96))
+    steps = film_steps(image, imaging(12.5, 96), None)
+    assert steps.delta_e[0].mean() == pytest.approx(score.mean_delta_e, rel=0.05)
 
 
 def test_error_of_a_film_that_is_too_small_is_unknown() -> None:
