@@ -132,6 +132,14 @@ CLAIMS = [
         rtol=1e-4,
         why="cells of the header",
     ),
+    *(
+        Claim(
+            f"a contrast of {contrast} L* is noticed from 1 on",
+            lambda contrast=contrast: delta_e_of(lightness=(50.0, 50.0 + contrast)),
+            [100.0] * (contrast < 1),
+        )
+        for contrast in (0.9, 1.1)
+    ),
     Claim(
         "of 85 % full pixels in a white of four wells, L* of a quarter is left",
         lambda: delta_e_of(FLAT, 4 * FULL_E, saturated_fraction=0.85),
