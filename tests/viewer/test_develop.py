@@ -20,6 +20,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.viewer import develop as develop_module
 from pixsim.viewer.chain import ImagingChain
+from pixsim.viewer.colour_matrix import colour_errors, noise_gains
 from pixsim.viewer.develop import ColourChart
 from pixsim.viewer.develop_steps import STEPS, noise_covariance
 from pixsim.viewer.display import WHITE_XYZ, rgb_to_xyz
@@ -212,6 +213,22 @@ def test_gains_of_the_user_replace_the_white() -> None:
         manual = replace(chain, imaging=chain.imaging.changed(develop=develop))
         channels = inverse @ manual.development.light(frame).mean(axis=(1, 2))
         np.testing.assert_allclose(channels / automatic, [factor, 1, 1], rtol=1e-9)
+
+
+def test_facts_of_a_colour_sensor_are_those_of_its_matrix() -> None:
+    """White electrons in a time, noise gains and metamerism of the fit, dots of a pixel."""
+    chain = chain_of(patch(18, "A"), sensor({}))
+    chart = chain.colour_chart
+    assert chart is not None
+    facts = chain.development.colour_facts(0.5)
+    matrix = chart.fit_matrix("least_delta_e")
+    errors = colour_errors(matrix, chart.responses, chart.xyz, chart.white_xyz)
+    white_e = list(facts["white_e"].values())
+    np.testing.assert_allclose(white_e, 0.5 * np.array(chain.whites_e_per_s), rtol=1e-12)
+    np.testing.assert_allclose(facts["noise_gains"], noise_gains(matrix, chart.white_xyz), 1e-9)
+    index = facts["sensitivity_metamerism_index"]
+    assert index == pytest.approx(100 - 5.5 * errors.mean(), abs=1e-6)
+    assert facts["dots_per_pixel"] == pytest.approx(4.0 / (100 / 16))
 
 
 # --- equal channels are one

@@ -19,6 +19,8 @@ from scipy.fft import dct
 import pixsim
 from pixsim import Camera, Correction, Develop, Display, Exposure, Pixel, SpectralImage
 from pixsim.optics import irradiance_factor
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.studies.files import settings_text
 from pixsim.viewer.chain import ImagingChain
@@ -161,7 +163,12 @@ ALL_CORRECTIONS = {"dark_frames": 4, "flat_frames": 8, "column_clamp": 8}
 
 @pytest.mark.parametrize(
     ("colour", "correction"),
-    [("", {}), ("", {"dark_frames": 4}), ("", ALL_CORRECTIONS), ("rggb", ALL_CORRECTIONS)],
+    [
+        ("", {}),
+        ("", {"dark_frames": 4}),
+        ("", {"flat_frames": 8, "column_clamp": 8}),
+        ("rggb", ALL_CORRECTIONS),
+    ],
     ids=str,
 )
 def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str, Any]) -> None:
@@ -220,6 +227,8 @@ WAVES = {
 }
 WHITE_NOISE = np.random.default_rng(1).standard_normal((1000, 1000))
 COLOURS = np.random.default_rng(2).uniform(0.1, 3.0, (3, 5, 5))
+DARK_READOUT = Readout.of(derive(Pixel(**SHEET | {"dark_current_e_per_s": 3e4})))
+DARK_PIXEL_E2 = 36.0 + 1 / (12 * DARK_READOUT.dn_per_e**2)
 REINHARD = Develop(tone_curve="reinhard")
 CLAIMS = [
     *(
@@ -257,6 +266,12 @@ CLAIMS = [
             rtol=1e-12,
         )
         for pitch_um in (2.0, 4.0)
+    ),
+    Claim(
+        "white noise of a frame less its dark frames and dark rows",
+        lambda: white_noise_e2(DARK_READOUT, TIME_S, Correction(dark_frames=4, column_clamp=8)),
+        (DARK_PIXEL_E2 + (DARK_PIXEL_E2 + 30.0) / 4) * (1 + 1 / 8),
+        rtol=1e-12,
     ),
     Claim(
         "all primaries of a dot have one factor behind an operator",

@@ -41,6 +41,13 @@ def test_light_has_converged_if_no_error_is_above_its_limit(film: Any, noise: An
     assert len(exceeded(error, limit)) == count
 
 
+def test_largest_error_comes_first() -> None:
+    """An unknown one is infinite."""
+    limit = LightError(0.02, 0.01)
+    assert list(exceeded(LightError(0.6, 2.8), limit)) == ["noise_delta_e", "film_delta_e"]
+    assert list(exceeded(LightError(math.nan, 2.8), limit)) == ["film_delta_e", "noise_delta_e"]
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.05, 0.2, 2.4])
 @pytest.mark.parametrize("delta_e", [0.36, None])
 def test_error_of_a_render_falls_with_its_noise(fraction: float, delta_e: float | None) -> None:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.chains import imaging
+from helpers.chains import imaging, imaging_chain
 from hypothesis import given, settings, strategies as st
 
 import pixsim
-from pixsim import Camera, Display, Exposure, Pixel, SpectralImage
+from pixsim import Camera, Display, Exposure, Motion, Pixel, PixsimError, SpectralImage
 from pixsim.base import arrays
 from pixsim.light.spectral import d65
 from pixsim.scene.charts import csf_value
@@ -159,6 +160,20 @@ def test_pictures_are_rounded_and_clipped_to_the_display() -> None:
     pair = [np.repeat(grey[..., None], 3, axis=2) for grey in (score.ideal, score.image)]
     coloured = pixsim.score_pictures(*pair, display)
     np.testing.assert_allclose(coloured.delta_e, score.delta_e, atol=1e-9)
+
+
+@pytest.mark.parametrize(("share", "is_refused"), [(0.999, False), (1.001, True)])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_motion_takes_the_margin_on_both_sides(axis: int, share: float, is_refused: bool) -> None:
+    """The longest path is twice the room between the scored dots and the border of the pixels."""
+    call = {"pixel": Pixel(pitch_um=28.0), "exposure": Exposure(integration_s=0.01)}
+    still = imaging_chain(chart(96), CAMERA, display=DISPLAY, border_um=100.0, **call)
+    room_um = float(still.screen.dot_edges_um[axis][0]) - still.readout.physics.border_um
+    speed = 2 * room_um * share / 0.01
+    velocity = (0.0, speed) if axis == 0 else (speed, 0.0)
+    moving = {"border_um": 100.0, "motion": Motion(image_um_per_s=velocity)}
+    with pytest.raises(PixsimError, match="motion: got") if is_refused else nullcontext():
+        imaging_chain(chart(96), CAMERA, display=DISPLAY, **call, **moving)
 
 
 # --- memory

@@ -431,19 +431,27 @@ def test_a_thousandth_of_the_scatter_is_resolved(share: float, names: set[str]) 
 
 
 @pytest.mark.parametrize(
-    "exposure", [{"integration_s": 0.01}, {}, {"flicker_hz": 100.0, "flicker_depth": 0.02}], ids=str
+    ("exposure", "share", "time_s"),
+    [
+        ({"integration_s": 0.01}, 0.5, 0.01),
+        ({}, 0.95, 0.0618),
+        ({"flicker_hz": 100.0, "flicker_depth": 0.02}, 0.95, 0.00618),
+    ],
+    ids=str,
 )
-def test_small_light_fills_no_pixel_and_shows_the_whole_field(exposure: dict[str, float]) -> None:
-    """With a stated time and an automatic one, which stays below the longest. White is 1.1 times
-    the brightest dot.
+def test_small_light_fills_no_pixel_and_shows_the_whole_field(
+    exposure: dict[str, float], share: float, time_s: float
+) -> None:
+    """Half of the well in a stated time; else a golden part of the longest time, or of a period of
+    lamps. White is 1.1 times the brightest dot.
     """
     run = Run(pixel=Pixel(**FAINT), exposure=Exposure(**exposure))
     base = settings_of(run).base
     assert base is not None
     camera = base.imaging.camera
     assert base.frame.dn.shape == (20, 20)
-    assert base.frame.integration_s < run.exposure.max_integration_s
-    assert 0.3 < base.mean_e.max() / base.readout.saturation_e < 1
+    assert base.frame.integration_s == pytest.approx(time_s, rel=0.05)
+    assert base.mean_e.max() / base.readout.saturation_e == pytest.approx(share, rel=0.05)
     assert camera.fov_deg == pytest.approx(Camera().fov_deg, rel=1e-9)
     assert camera.die_um == pytest.approx((100.0, 100.0), rel=1e-9)
     assert base.prepared.screen.ideal.max() == pytest.approx(1 / 1.1, abs=0.01)
