@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,6 @@ ELSEWHERE = {
     "repository/changelog": ROOT / "CHANGELOG.md",
     "repository/contributing": ROOT / "CONTRIBUTING.md",
 }
-VALIDATION = "validation"
-VALIDATION_HERE = "<!-- validation -->"
 FENCE = re.compile(r"^ *(```|~~~)")
 CODE_OR_LINK = re.compile(r"(`+[^`]*`+)|(!?)\[((?:[^\[\]]|\[[^\]]*\]\([^)]*\))*)\]\(([^()\s]+)\)")
 logger = logging.getLogger(__name__)
@@ -102,9 +99,6 @@ def on_read(app: Sphinx, docname: str, content: list[str]) -> None:
         app.env.note_dependency(str(source))
         content[0] = source.read_text(encoding="utf-8")
     content[0] = with_directives(content[0])
-    if docname == VALIDATION:
-        tables = runpy.run_path(str(ROOT / "tests/helpers/validation.py"))["validation"]()
-        content[0] = content[0].replace(VALIDATION_HERE, tables)
     content[0] = rewritten(content[0], source, docname)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from datetime import datetime
 from importlib import import_module
+from pathlib import Path
 
 import pytest
-from helpers import validation
 from helpers.documents import ROOT
 
 import pixsim
@@ -92,18 +92,7 @@ def test_citation_and_changelog_state_this_version_and_its_day() -> None:
     ]
 
 
-def test_validation_tables_name_every_judge_package_and_folder_of_data() -> None:
-    text = validation.validation()
-    for path in re.findall(r"`(tests/[^`]+)`", text):
-        assert (ROOT / path).exists(), path
-    packages = {path.parent.name for path in (ROOT / "pixsim").glob("*/__init__.py")} - {"data"}
-    assert {name for name in packages if f"| `{name}` |" not in text} == set()
-    judges = {path.name for path in (ROOT / "tests/references").glob("test_*.py")} - {
-        "test_table.py"
-    }
-    assert {name for name in judges if f"`tests/references/{name}`" not in text} == set()
-    assert (
-        f"Reference values for S-CIELAB | `tests/{'data'}/scielab` | `references/test_scielab_judge.py`"
-        in text
-    )
-    assert "|  |" not in text, "a file without a docstring"
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=str)
+def test_pages_name_files_that_are_there(path: Path) -> None:
+    names = re.findall(r"\b(?:tests|pixsim|scenes|docs)/[\w./-]+\.\w+", path.read_text("utf-8"))
+    assert [name for name in names if not (ROOT / name).exists()] == []
