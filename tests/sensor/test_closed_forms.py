@@ -168,7 +168,6 @@ def diffusing(kelvin: float) -> float:
     mtf = diffusion_of(
         derive(Pixel(technology="4t-fsi", pitch_um=5.0, temperature_k=kelvin, stack=stack))
     )
-    assert mtf is not None
     return float(mtf(np.array([50.0]), 850.0)[0])
 
 
@@ -392,7 +391,6 @@ def of_process(name: str, **options: Any) -> PixelPhysics:
 def well_charge_e(name: str) -> float:
     """Charge of the swing, by quadrature of SPICE's capacitance."""
     junction = load_technology(name).junction
-    assert junction is not None
     diode = diode_of(of_process(name))
     return charge_to_e(diode, junction.reset_voltage_v - junction.voltage_swing_v)
 

@@ -113,7 +113,6 @@ def test_flat_field_is_conserved(name: str) -> None:
     axis it is display white's.
     """
     imaged = chain(physics(stack=STACKS[name]), WIDE)
-    assert imaged.development.flat_field is not None
     flat = imaged.signal_e_per_s / imaged.development.flat_field
     np.testing.assert_allclose(flat, flat.mean(), rtol=1e-12)
     shading = np.ptp(imaged.development.flat_field)
@@ -145,11 +144,9 @@ def test_shares_between_points_agree_with_the_kernel(
     spectrum, and linear steps.
     """
     pixel = physics(stack=STACKS[name])
-    assert pixel.stack is not None
     camera = Camera(die_mm=0.48, focal_length_mm=0.8, f_number=2.0, chief_ray_angle=table)
     light = illumination_of(UNIFORM, camera, pixel)
     collection = collection_of(pixel, light, (81, 81))
-    assert collection is not None
     total = collection.relative((81, 81)) * collection.on_axis
     weight = np.array(light.weight) / np.sum(light.weight)
     for row, column in ((40, 40), (3, 77), (22, 51), (80, 80)):
@@ -184,7 +181,6 @@ def test_stack_that_loses_nothing_is_left_out_within_its_bound(
     pixel = physics(**fields)
     half_um = half_sizes_um(pixel, pixels_on(SLOW.die_um, pixel.pitch_um))
     bound = scale_error(pixel, camera_pupil(SLOW), half_um, tolerance)
-    assert bound is not None
     assert 1e-6 < bound <= tolerance
     assert scale_error(pixel, camera_pupil(SLOW), (200.0, 200.0), bound / 2) is None
     image = SpectralImage(
@@ -192,7 +188,6 @@ def test_stack_that_loses_nothing_is_left_out_within_its_bound(
     )
     scaled = chain(pixel, SLOW, image)
     whole = chain(pixel, SLOW, image, without_shortcuts=True)
-    assert scaled.collection is not None
     assert scaled.collection.is_scale
     assert scaled.development.shading is None
     assert scaled.white_e_per_s == pytest.approx(whole.white_e_per_s, rel=1e-12)
@@ -211,7 +206,6 @@ def passed(pitch_um: float, f_number: float = 8.0, fill_factor: float = 0.4) -> 
 
 
 def of_lens(pixel: PixelPhysics) -> float:
-    assert pixel.stack is not None
     pupil = disc_pupil(numerical_aperture(8.0))
     return float(collected_shares(pixel.stack, pupil, [550.0]).sum())
 
@@ -225,7 +219,6 @@ def measured(pitch_um: float, at_um: float | None = None, **over: Any) -> float:
 
 def stack_height_um(name: str, pitch_um: float, stack: dict[str, Any]) -> float:
     pixel = derive(Pixel(technology=name, pitch_um=pitch_um, stack=stack))
-    assert pixel.stack is not None
     return pixel.stack.height_um
 
 
@@ -489,7 +482,6 @@ def test_white_of_a_colour_sensor_is_what_its_channels_collect_of_uniform_light(
     colour = cell | {"sensitivities": "Canon_EOS_R5", "peak_quantum_efficiency": 0.5}
     pixel = derive(Pixel(technology="4t-bsi", pitch_um=3.0, colour=colour))
     layout = Layout.unbinned(pixel.pixel)
-    assert layout is not None
     lights = [illumination_of(UNIFORM, SLOW, channel) for channel in pixel.channels]
     collections = collections_of(pixel, lights, (32, 36))
     bin_side = pixel.pixel.bin_side
@@ -515,8 +507,6 @@ def test_stack_of_a_pixel_goes_before_that_of_the_technology() -> None:
     """Field by field, and switched off as a whole: bit for bit as without one."""
     process = LENSED.model_copy(update={"stack_crosstalk": 0.2})
     bare = physics(process, stack={"microlens": "none"} | DIFFUSION)
-    assert bare.stack is not None
-    assert bare.charge is not None
     assert (bare.stack.height_um, bare.stack.microlens) == (4.0, False)
     assert (bare.charge.crosstalk, bare.charge.diffusion_um) == (None, (1.0, 10.0))
     off = physics(LENSED, stack={"enabled": False, "microlens": "square"})

@@ -81,7 +81,6 @@ def test_each_pixel_has_the_signal_of_its_channel(cell: dict[str, Any], pitch_um
     letters = channels_of(cell.get("matrix") or PATTERNS[cell["pattern"]])
     colour = cell | {"quantum_efficiencies": {letter: CURVES[letter] for letter in letters}}
     layout = Layout.of(physics(colour).pixel)
-    assert layout is not None
     alone = [
         signal(None, quantum_efficiency=CURVES[letter], pitch_um=pitch_um) for letter in letters
     ]
@@ -170,8 +169,6 @@ def test_curves_of_a_file_with_and_without_a_title(text: str, tmp_path: Path) ->
     path = tmp_path / "qe.csv"
     path.write_text(text, encoding="utf-8")
     colour = physics({"quantum_efficiencies": str(path)}).pixel.colour
-    assert colour is not None
-    assert colour.curves is not None
     values = {letter: curve[3] for letter, curve in colour.curves.items()}
     assert values == {"R": (430, 0.5), "G": (430, 0.4), "B": (430, 0.3)}
 

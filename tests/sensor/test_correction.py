@@ -125,8 +125,6 @@ def test_defects_are_found_in_dark_and_flat_frames() -> None:
     probability of 2e-9.
     """
     sensor = sensor_of(dsnu=0.0)
-    assert sensor.gain is not None
-    assert sensor.offset_e is not None
     sensor.gain[10, 10] = 0.0
     sensor.offset_e[50, 60] += 3000.0
     frames = {"dark_frames": 4, "flat_frames": 4}
@@ -145,7 +143,6 @@ COLOUR = {"quantum_efficiency": None, "bits": 16, "colour": {"quantum_efficienci
 
 def balance_of(sensor: Sensor, levels: list[float]) -> Array:
     layout = sensor.readout.physics.layout
-    assert layout is not None
     return np.array(levels)[layout.numbers(sensor.shape)]
 
 
@@ -170,7 +167,6 @@ def test_defects_are_replaced_by_pixels_of_their_own_colour() -> None:
     seven times as large relative to white, there are no other defects.
     """
     sensor = sensor_of((80, 80), **CLEAN | COLOUR | {"prnu": 0.01})
-    assert sensor.gain is not None
     sensor.gain[6, 6] = 0.0
     balance = balance_of(sensor, [0.25, 1.0, 0.02])
     frames = {"flat_frames": 20}

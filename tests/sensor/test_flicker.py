@@ -21,7 +21,7 @@ from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
 
 ROWS, HZ, DEPTH = 400, 100.0, 0.6
 LAMP: dict[str, Any] = {"flicker_hz": HZ, "flicker_depth": DEPTH}
-CAMERA = Camera(die_mm=0.1, die_height_mm=1.0, object_distance_m=0.5, focal_length_mm=4.0)
+CAMERA = Camera(die_mm=0.01, die_height_mm=1.0, object_distance_m=0.5, focal_length_mm=4.0)
 PIXEL = Pixel(pitch_um=2.5, technology="4t-bsi", stack={"enabled": False})
 SENSOR = make_sensor(PIXEL, CAMERA)
 RATE = np.full(SENSOR.shape, 1e5)

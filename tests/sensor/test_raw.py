@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import struct
 import zlib
 from pathlib import Path
@@ -196,24 +195,11 @@ def test_fraction_at_the_top_code_is_counted(
     assert (stored.saturated_fraction, stored.top_code_fraction) == (saturated, at_top)
 
 
-def test_run_writes_the_same_frame_in_every_format(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def run(line: str) -> int:
-        options = "--resolution 48 --display.dots 32 --camera.die-mm 0.5 --pixel.black-level-dn 40"
-        with pytest.raises(SystemExit) as end:
-            cli.main(shlex.split(f"run csf {options} {line}"))
-        return int(end.value.code or 0)
-
-    assert run(f"--raw tiff --raw png --raw npz --out {tmp_path}/out") == 0
-    exr = read_frame(tmp_path / "out/raw.exr")
-    assert (exr.black_level_dn, exr.white_level_dn, exr.bits) == (40.0, 1023.0, 10)
-    for suffix in (".tiff", ".png", ".npz"):
-        np.testing.assert_array_equal(read_frame(tmp_path / f"out/raw{suffix}").dn, exr.dn)
-    capsys.readouterr()
-    assert run(f"--pixel.bits 20 --raw png --out {tmp_path}/deep") == 2
+def test_formats_of_16_bits_are_refused_for_frames_of_more(tmp_path: Path, capsys: Any) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["run", "csf", "--pixel.bits", "20", "--raw", "png", "--out", f"{tmp_path}/deep"])
     assert "--raw: got tiff or png for frames of 20 bits" in capsys.readouterr().err
-    assert not (tmp_path / "deep").exists()
+    assert not list(tmp_path.iterdir())
 
 
 # --- TIFF/EP, DNG and PNG of other programs

@@ -50,7 +50,6 @@ def triplet() -> tuple[Camera, Distortion, Tiling]:
         LensOptions(file="cooke_triplet", focal_length_mm=5.0),
     )
     distortion = camera_distortion(camera)
-    assert distortion is not None
     tiling = choose_tiling(camera, (ROWS, COLUMNS), FILM_UM, (NM,), (1.0,), PIXEL_UM, 0.01)
     return camera, distortion, tiling
 
@@ -211,10 +210,8 @@ def test_collection_is_the_direct_sum_over_traced_rays(
     pixel = Pixel(pitch_um=3.0, infrared_cut_nm=720.0, fill_factor=0.5, stack=BARE | options)
     physics = derive(pixel)
     stack = physics.stack
-    assert stack is not None
     light = illumination(phone(), np.array([NM]), np.ones(1), np.ones(1))
     collection = collection_of(physics, light, (1600, 1600))
-    assert collection is not None
 
     cosines, chief = traced(*place)
     tangents = cosines / np.sqrt(stack.index**2 - np.square(cosines).sum(axis=1, keepdims=True))
