@@ -75,7 +75,13 @@ from pixsim.sensor.readout import (
     quantise,
     with_shared_time,
 )
-from pixsim.sensor.saturation import clipped_moments, level_moments
+from pixsim.sensor.saturation import (
+    CLIP_REACH,
+    clipped_moments,
+    full_well_for_e,
+    level_moments,
+    saturation_capacity_e,
+)
 from pixsim.sensor.technology import load_technology, with_fill_factor_law
 
 T035 = load_technology("0.35um")
@@ -320,6 +326,18 @@ def code_slope(level: float, sigma: float, top: int) -> float:
     return (above - below) / (2 * step)
 
 
+def peak_of_clipped_variance_e(well_e: float) -> float:
+    """Mean of a normal signal of that variance whose variance peaks where it clips at a well."""
+    mean_e = np.linspace(0.7, 1.05, 200_001) * well_e
+    x = (well_e - mean_e) / np.sqrt(mean_e)
+    first = -norm.pdf(x) + x * norm.sf(x)
+    second = norm.cdf(x) - x * norm.pdf(x) + x**2 * norm.sf(x)
+    return float(mean_e[np.argmax(mean_e * (second - first**2))])
+
+
+LEVELS = np.linspace(-20.0, 20.0, 41)
+FIRST, SECOND = clipped_moments(LEVELS, 3.0, 0.0)
+BESIDE = np.array([-1.000001, -0.999999, 0.999999, 1.000001])
 CODES = [
     Claim(
         f"{name} of codes at {level:g} ± {sigma:g} of 0 … {top}",
@@ -363,6 +381,43 @@ CODES = [
         lambda: clipped_moments(np.array([-50.0, 50.0]), 3.0, 2.0),
         [[-50.0, 2.0], [2509.0, 4.0]],
         rtol=1e-14,
+    ),
+    Claim(
+        "moments of a clipped level move with the clip",
+        lambda: clipped_moments(LEVELS + 7.0, 3.0, 7.0),
+        np.array([FIRST + 7.0, SECOND + 14.0 * FIRST + 49.0]),
+        rtol=1e-12,
+        atol=1e-12,
+    ),
+    Claim(
+        "the nearest level that counts as far from the clip joins the others",
+        lambda: np.diff(clipped_moments(3.0 * CLIP_REACH * BESIDE + 100.0, 3.0, 100.0)[0])[[0, 2]],
+        [0.0, 0.0],
+        atol=1e-4,
+        why="2e-6 of 24",
+    ),
+    *(
+        Claim(
+            f"saturation capacity of a well of {well_e:g} e-: the peak of the clipped variance",
+            lambda well_e=well_e: saturation_capacity_e(well_e, None, 0.0, 0.0, 0.0),
+            peak_of_clipped_variance_e(well_e),
+            atol=0.1 * math.sqrt(well_e),
+            why="the kink of the clip lies between two of 65 nodes",
+        )
+        for well_e in (500.0, 300_000.0)
+    ),
+    Claim(
+        "an ADC that clips first takes the place of the well",
+        lambda: saturation_capacity_e(1e5, 9000.0, 2.0, 0.0, 0.0),
+        saturation_capacity_e(9000.0, None, 2.0, 0.0, 0.0),
+        rtol=1e-3,
+        why="nodes of the kink",
+    ),
+    Claim(
+        "no well gives 10 000 e- where the ADC ends at 9000: it is left out",
+        lambda: full_well_for_e(10_000.0, 9000.0, 2.0, 0.0, 0.0),
+        full_well_for_e(10_000.0, None, 2.0, 0.0, 0.0),
+        rtol=1e-12,
     ),
     Claim(
         "below the top: shot noise, read noise and the spread of gains",

@@ -30,7 +30,7 @@ from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.integration import lights_of, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.raw import RawFrame, read_frame, write_frame
+from pixsim.sensor.raw import read_frame, write_frame
 from pixsim.sensor.readout import make_sensor
 
 NM = np.arange(405.0, 700.0, 10.0)
@@ -152,12 +152,6 @@ def test_unknown_layout_of_a_file_is_left_out(text: str, tmp_path: Path) -> None
     assert read_frame(tmp_path / "raw.npz").layout is None
     with pytest.raises(ValueError, match="allowed: rows of capital letters"):
         Layout.parse(text)
-
-
-def test_planes_that_do_not_divide_a_frame_are_no_layout(tmp_path: Path) -> None:
-    frame = RawFrame(np.ones((4, 2), np.uint8), layout=Layout(("RGB",), True))
-    write_frame(tmp_path / "raw.npz", frame)
-    assert read_frame(tmp_path / "raw.npz").layout is None
 
 
 HEAD = "# made up\nnm;red;green;blue\n"

@@ -11,7 +11,7 @@ import pytest
 from helpers.claims import check
 
 from pixsim.base.toml import packaged
-from pixsim.sensor.pixel import PixelPhysics, derive, smallest_pitch_um, spread_registration
+from pixsim.sensor.pixel import PixelPhysics, derive, spread_registration
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, load_technology
@@ -91,13 +91,36 @@ VALUES: list[tuple[str, PixelPhysics, str, Any]] = [
         1023 / derive(Pixel(pitch_um=15)).full_well_e,
     ),
     ("the aperture under a microlens", derive(Pixel(**BSI)), "aperture_side_um", 1.4),
-    ("a border of 1.5 pixels", physics(), "border_um", 6.0),
+    *(
+        (
+            f"PRNU of 0.03 µm at {pitch_um:g} µm of {technology}",
+            derive(Pixel(technology=technology, pitch_um=pitch_um, prnu_um=0.03)),
+            "prnu",
+            0.03 / derive(Pixel(technology=technology, pitch_um=pitch_um)).photodiode_side_um,
+        )
+        for technology in ("0.18um", "4t-bsi")
+        for pitch_um in (6.0, 9.0)
+    ),
     (
-        "registration [x, y] is down and across",
-        physics(registration=(0.1, 0.2)),
+        "an ADC stated by its range solves the same well as one by its gain",
+        physics(saturation_capacity_e=9000, adc_full_scale_e=4095 * 2.5),
+        "full_well_e",
+        physics(saturation_capacity_e=9000, gain_e_per_dn=2.5).full_well_e,
+    ),
+    # [x, y] = 0.5 + 0.25, 0.5 + 0.75 - 1.
+    (
+        "registration of a repeat",
+        derive(Pixel()).registered(1, (0.25, 0.75)),
+        "registration",
+        (0.25, 0.75),
+    ),
+    (
+        "a stated registration stays",
+        derive(Pixel(registration=(0.1, 0.2))).registered(1),
         "registration",
         (0.2, 0.1),
     ),
+    ("a border of 1.5 pixels", physics(), "border_um", 6.0),
 ]
 
 
@@ -110,23 +133,6 @@ def test_values_of_a_pixel(name: str, pixel: PixelPhysics, attribute: str, expec
         assert value is None, name
         return
     check(f"{name}: {attribute}", value, expected, rtol=1e-12, why="rounding")
-
-
-@pytest.mark.parametrize("technology", ["0.35um", "4t-bsi"])
-def test_fill_factor_is_continuous_at_the_smallest_pitch(technology: str) -> None:
-    """With a PRNU that is stated, since that of an area would be 500 there."""
-    pitch_um = smallest_pitch_um(load_technology(technology)) * (1 + 1e-9)
-    fill_factor = derive(Pixel(technology=technology, pitch_um=pitch_um, prnu=0.01)).fill_factor
-    assert 0 < fill_factor < 1e-8
-
-
-@pytest.mark.parametrize("technology", ["0.35um", "0.18um", "4t-bsi", "none"])
-def test_prnu_um_falls_with_the_side_of_the_photodiode(technology: str) -> None:
-    sheet = SHEET if technology == "none" else {}
-    for pitch_um in (6.0, 9.0):
-        over = {"technology": technology, "pitch_um": pitch_um, "prnu_um": 0.03}
-        pixel = derive(Pixel.model_validate(sheet | over))
-        assert pixel.prnu * pixel.photodiode_side_um == pytest.approx(0.03, rel=1e-14)
 
 
 @pytest.mark.parametrize("gain", [{"gain_e_per_dn": 2.5}, {"dn_per_e": 0.4}])
@@ -143,14 +149,6 @@ def test_a_saturation_capacity_is_solved_once_and_scales_with_the_area(
     values = scaled.full_well_e, 1 / Readout.of(scaled).dn_per_e, scaled.dark_current_e_per_s
     assert values == pytest.approx((well_e * area, 2.5 * area, 5 * area), rel=1e-12)
     assert (scaled.offset_fpn_e, Readout.of(scaled).read_noise_e) == (2.0, 2.0)
-
-
-def test_an_adc_stated_by_its_range_solves_the_same_well() -> None:
-    wells_e = [
-        physics(saturation_capacity_e=9000, **gain).full_well_e
-        for gain in ({"adc_full_scale_e": 4095 * 2.5}, {"gain_e_per_dn": 2.5})
-    ]
-    assert wells_e[0] == pytest.approx(wells_e[1], rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -210,10 +208,3 @@ def test_spread_registration_is_a_net_for_every_power_of_two(digits: int) -> Non
     for across in range(digits + 1):
         cells = (points * [2**across, 2 ** (digits - across)]).astype(int)
         assert len(np.unique(cells, axis=0)) == 2**digits
-
-
-def test_repeats_have_registrations_unless_the_pixel_states_one() -> None:
-    shifted = derive(Pixel()).registered(1, (0.25, 0.75))
-    assert shifted.registration == (0.25, 0.75)  # [x, y] = 0.5 + 0.25, 0.5 + 0.75 - 1
-    stated = derive(Pixel(registration=(0.1, 0.2)))
-    assert stated.registered(1).registration == (0.2, 0.1)

@@ -288,6 +288,10 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         ),
         "node capacitance of a pinned photodiode is unknown",
     ),
+    "range of an unknown number": (
+        lambda: process(ranges={"sharpness": (0.0, 1.0)}),
+        "range: got 'sharpness'",
+    ),
     "unknown technology": (lambda: load_technology("0.13um"), "0.13um.*0.5um"),
     "sensor in place of a technology": (lambda: load_technology("imx363"), "config=imx363"),
     "mistyped sensor": (lambda: load_technology("imx36"), "Did you mean 'imx363'"),
