@@ -341,7 +341,7 @@ def prepare(
     full : simulate every effect, also those that the plan finds too small to matter
     repeats, frames : number of sensors of the kind, and of frames of the first one
     sensor, variant, units : of the scene, and of the picture
-    judges_settings : whether to warn of settings that do nothing
+    warns_of_unused_settings : whether to warn of settings that have no effect
 
     Raises PixsimError for invalid input.
     """

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -18,10 +17,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from pixsim.base.arrays import Array
-from pixsim.optics.pupil import disc_pupil, numerical_aperture
-from pixsim.optics.stack import collected_shares
 from pixsim.studies.curve import MAX_NEAR_BEST
-from pixsim.studies.design import photodiode_widths_um, physics_of
 from pixsim.studies.optimum import (
     DRAWS,
     FLANK,
@@ -38,7 +34,6 @@ from pixsim.studies.optimum import (
     quadratic,
     wiener_covariance,
 )
-from pixsim.studies.settings import Study
 
 PITCH_UM = np.geomspace(5.3, 15, 16)
 BEST_UM = 8.3
@@ -299,25 +294,6 @@ def test_places_are_logarithms_of_photodiode_widths() -> None:
     np.testing.assert_allclose(places, expected, rtol=1e-12)
     # Straight between 801 pitches; at the smallest ones the place bends by 0.05 % of a pitch.
     np.testing.assert_allclose(fit.pitches_at(places), PITCH_UM, rtol=5e-4)
-
-
-def test_curve_is_smooth_against_the_photodiode_under_microlenses_too() -> None:
-    """The smallest pixel collects a tenth of its light. The fit against the photodiode's width
-    finds the optimum within 1 %.
-    """
-    stack = {"height_um": 8.0, "index": 1.5, "microlens": "square"}
-    study = Study(name="x", pixel={"stack": stack})
-    fine_um = np.geomspace(5.3, 13.0, 100)
-    pupil = disc_pupil(numerical_aperture(1.4))
-    stacks = [physics_of(study, "0.35um", pitch_um).stack for pitch_um in fine_um.tolist()]
-    share = np.array([collected_shares(each, pupil, [550.0])[0, 2, 2] for each in stacks])
-    assert share[-1] > 7 * share[0]
-    delta_e = np.hypot(0.5, (fine_um / 8.3) ** 2) + 8.3 / (fine_um * np.sqrt(share))
-    pitch_um = np.geomspace(5.3, 13.0, 12)
-    values = np.exp(np.interp(np.log(pitch_um), np.log(fine_um), np.log(delta_e)))
-    width_um = partial(photodiode_widths_um, study, "0.35um")
-    optimum = fit_curve(pitch_um, sensors_of(values, 8, 1e-4), width_um).optimum
-    assert optimum.pitch_um == pytest.approx(fine_um[np.argmin(delta_e)], rel=0.012)
 
 
 PRINT_FIT = """

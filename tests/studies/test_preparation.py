@@ -25,7 +25,6 @@ from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.studies.curve import WIDE_RATIO, Curve
 from pixsim.studies.design import BYTES_PER_PIXEL, study_pitches_um, technology_of
 from pixsim.studies.files import load_study
-from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.prepare import MAX_FRAME_BYTES, choose_view, fitted_range, prepare
 from pixsim.studies.settings import Study
@@ -373,27 +372,3 @@ def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     assert (outline["estimate"]["renders"], outline["estimate"]["evaluations"]) == (1, len(dots))
     assert dots.count(outline["display"]["dots"]) == 5 * sensor["sensors"] == len(dots) - 5 * 2 * 2
     assert result.irradiance.shape == tuple(outline["film"]["samples"])
-
-
-@pytest.mark.parametrize("scene", ["siemens_star", "macbeth"])
-def test_dry_run_states_rays_of_the_film_that_is_rendered(
-    scene: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Cells of a finer or coarser film than the XML's have fewer or more rays each; those of a
-    chart are computed.
-    """
-    rendered = []
-
-    def stop(job: Renderer, *_: object) -> None:
-        rendered.append((list(job.size), job.plan.samples.spp, job.plan.light.passes))
-        raise InterruptedError
-
-    monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", stop)
-    table = {"name": "own", "scene": {"file": scene, "parameters": {"resolution": 64}}}
-    table |= {"camera": {"die_mm": 0.6}, "pitch": {"values_um": [6, 8, 12, 16, 20]}}
-    job = prepare(Study.model_validate(table))
-    film = study_outline(job)["film"]
-    with pytest.raises(InterruptedError):
-        render_for(job.cases[0])
-    assert rendered == [(film["samples"], film["spp"], film["passes"])]
-    assert (film["spp"] > 0) == (scene == "macbeth")

@@ -123,19 +123,6 @@ def test_repeats_of_one_registration_are_those_of_one_chain(
     assert several.interval_delta_e == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("tolerance_delta_e", "across"), [(1.0, 256), (1e-4, 512)])
-def test_the_film_doubles_until_its_error_is_tolerated(
-    tolerance_delta_e: float, across: int
-) -> None:
-    """It begins with a quarter of the samples across that a run takes, 1024."""
-    options: dict[str, Any] = {"pixel": {"pitch_um": 42.4}, "display": {"dots": 16}}
-    options["camera"] = {"die_mm": 1.0}
-    film = pixsim.run("csf", tolerance_delta_e=tolerance_delta_e, **options).film
-    assert film is not None
-    assert film["resolution"] == across
-    assert film["delta_e"] <= tolerance_delta_e == film["tolerated_delta_e"][0]
-
-
 # --- the interval over registrations
 
 TRIALS = 400
