@@ -66,6 +66,18 @@ def test_detectability_is_that_of_the_dense_covariance(
     assert d_prime == pytest.approx(expected, rel=1e-10)
 
 
+def test_detectability_of_unlike_pixels_converges() -> None:
+    """Variances of four decades, and offsets 30 times the largest of them; to 1e-9."""
+    shape = (24, 36)
+    difference, _ = difference_and_variance(shape)
+    variance = 10 ** np.random.default_rng(3).uniform(-2, 2, shape)
+    covariance = covariance_of(variance, 3e3, 3e3)
+    delta = difference.ravel()
+    expected = math.sqrt(delta @ np.linalg.solve(covariance, delta))
+    d_prime = metrics.detectability(difference, variance, column_variance=3e3, row_variance=3e3)
+    assert d_prime == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize(("column_variance", "row_variance"), [(1e12, 1e-3), (1e12, 1e12)])
 def test_detectability_with_offsets_far_above_the_noise(
     column_variance: float, row_variance: float

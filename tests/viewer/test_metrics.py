@@ -126,14 +126,20 @@ def niirs_from(**options: float) -> float:
     return evaluated(UNIFORM, "niirs", metric=MetricOptions(niirs=options))["niirs"]
 
 
-def reason_beyond(factor: float) -> str:
-    """Return why a blurred target of -0.5, -0.05 in the light, has no contrast of a factor."""
-    image = with_disc(-0.05, parameters={"contrast": "-0.5"})
+def reason_beyond(factor: float, contrast: float = -0.05, **header: Any) -> str:
+    """Return why a target has no contrast of a factor; empty where it has one."""
     metrics = request("detectability", **ONE_REGISTRATION)
-    chain = chain_of(image, background=UNIFORM, metrics=metrics)
+    chain = chain_of(with_disc(contrast, **header), background=UNIFORM, metrics=metrics)
     return contrast_factor(chain.expected(TIME_S), 5.0 / factor)[1]
 
 
+def factor_to_full(share: float) -> float:
+    """Return by what a contrast of 5 % is multiplied for a share of the full well."""
+    uniform_e = TIME_S * float(chain_of().signal_e_per_s.mean())
+    return (share * chain_of().readout.saturation_e / uniform_e - 1) / 0.05
+
+
+STATED = {"contrast": "-0.5"}
 DARK_WELL = PIXEL.model_copy(update={"dark_current_e_per_s": 1e9})
 BRIGHT_DISC = light(300 * with_disc(0.1).data[..., 0] / 2e-4)
 TWO_HALVES = light(np.where(np.arange(200) < 100, 1.0, 1e3))
@@ -198,10 +204,21 @@ CLAIMS = [
         [0, -3.32],
         atol=1e-9,
     ),
-    Claim(
-        "a contrast that a scene states ends at -1",
-        lambda: [min(len(reason_beyond(factor)), 1) for factor in (1.9, 2.1)],
-        [0, 1],
+    *(
+        Claim(
+            f"contrasts of targets end: {name}",
+            lambda call=call: min(len(call()), 1),
+            int(is_refused),
+        )
+        for name, call, is_refused in (
+            ("-0.05 above black", lambda: reason_beyond(16.0), False),
+            ("-0.05 below black", lambda: reason_beyond(21.0), True),
+            ("0.05 below full", lambda: reason_beyond(factor_to_full(0.95), 0.05), False),
+            ("0.05 above full", lambda: reason_beyond(factor_to_full(1.05), 0.05), True),
+            # A blurred target of -0.5 is -0.05 in the light.
+            ("stated above -1", lambda: reason_beyond(1.9, parameters=STATED), False),
+            ("stated below -1", lambda: reason_beyond(2.1, parameters=STATED), True),
+        )
     ),
 ]
 
