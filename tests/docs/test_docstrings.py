@@ -273,10 +273,10 @@ def test_class_docstring_describes_fields(name: str) -> None:
     class that has the field.
     """
     kind = CLASSES[name]
-    own = [
-        each for each in kind.__mro__ if each.__module__.startswith("pixsim")
+    bases = [
+        base for base in kind.__mro__ if base.__module__.startswith("pixsim")
     ]  # a base describes its own fields
-    text = "\n".join(inspect.cleandoc(vars(each).get("__doc__") or "") for each in own)
+    text = "\n".join(inspect.cleandoc(vars(base).get("__doc__") or "") for base in bases)
     assert vars(kind).get("__doc__")
     assert not text.startswith(f"{kind.__name__}("), "the default of @dataclass"
     heirs = [base for base in kind.__mro__ if is_dataclass(base)]
@@ -336,9 +336,9 @@ def test_docstring_examples_pass() -> None:
     """Their numbers are published values or closed forms."""
     runner = doctest.DocTestRunner()
     report: list[str] = []
-    shown = set()
+    names = set()
     for example in examples():
-        shown.add(example.name)
+        names.add(example.name)
         runner.run(example, out=report.append)
     assert runner.failures == 0, "".join(report)
-    assert {f"pixsim.{name}" for name in SHOWN} <= shown
+    assert {f"pixsim.{name}" for name in SHOWN} <= names

@@ -130,9 +130,9 @@ def test_readme_first_study_gives_shown_output(
     Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and
     display: ± 0.6 µm.
     """
-    shown = Page(first_study(README, tmp_path), tmp_path, exact)
-    shown.check()
-    ((picture, drawn),) = shown.pictures
+    page = Page(first_study(README, tmp_path), tmp_path, exact)
+    page.check()
+    ((picture, drawn),) = page.pictures
     assert alike_pictures(ROOT / picture.relative_to(tmp_path), drawn, exact)
     (curve,) = pixsim.study("chen2000", drawn.parents[1], quick=True).curves  # its rows are stored
     best, mean = curve.optimum, curve.mean()

@@ -41,9 +41,9 @@ def changes(page: str) -> Iterator[tuple[str, str, str]]:
 
 
 def test_lines_before_are_there_once() -> None:
-    found = [(name, before) for name, before, _ in changes(PAGE.read_text(encoding="utf-8"))]
-    assert len(found) > 6
-    for name, before in found:
+    blocks = [(name, before) for name, before, _ in changes(PAGE.read_text(encoding="utf-8"))]
+    assert len(blocks) > 6
+    for name, before in blocks:
         assert (ROOT / name).read_text(encoding="utf-8").count(before) == 1, f"{name}:\n{before}"
 
 
@@ -94,11 +94,11 @@ def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
     with (tmp_path / "c/results.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert "rms_of_white" in rows[0]
-    found = {
+    rows_of_gain = {
         gain: [row for row in rows if float(row["display.gain"]) == gain] for gain in (1.0, 1.1)
     }
     for right, bright in zip(
-        *found.values(), strict=True
+        *rows_of_gain.values(), strict=True
     ):  # the same frames, of which no dot is at the end of the codes
         assert float(bright["rms_of_white"]) == pytest.approx(
             1.1 * float(right["rms_of_white"]), rel=1e-4

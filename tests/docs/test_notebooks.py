@@ -42,10 +42,11 @@ def test_notebook_gives_shown_output(
     monkeypatch.setenv(
         "IPYTHONDIR", str(tmp_path / ".ipython")
     )  # both processes make one, else at home
-    shown, made = outputs(nbformat.read(path, as_version=4)), outputs(executed(path, tmp_path))
-    assert [output[:2] for output in shown] == [output[:2] for output in made]
+    stored = outputs(nbformat.read(path, as_version=4))
+    made = outputs(executed(path, tmp_path))
+    assert [output[:2] for output in stored] == [output[:2] for output in made]
     assert any(kind == "text/html" for _, kind, _ in made)
-    for (cell, kind, expected), (_, _, printed) in zip(shown, made, strict=True):
+    for (cell, kind, expected), (_, _, printed) in zip(stored, made, strict=True):
         if kind == "text/html":
             words = Elements(printed)
             assert "img" in words.tags

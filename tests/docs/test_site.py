@@ -238,11 +238,11 @@ onload = () => {{
 </script>"""
 
 
-def measured(shown: list[Path], width: int, folder: Path) -> list[Any]:
+def measured(paths: list[Path], width: int, folder: Path) -> list[Any]:
     """[available width, needed width, title, missing pictures, overflowing elements] of each
     page.
     """
-    sources = [f'width="{width}" src="{path.as_uri()}"' for path in shown]
+    sources = [f'width="{width}" src="{path.as_uri()}"' for path in paths]
     return in_frames(
         FRAMES, sources, 900, folder, "--allow-file-access-from-files"
     )  # frames may read pages on disk
@@ -252,10 +252,10 @@ def measured(shown: list[Path], width: int, folder: Path) -> list[Any]:
 @pytest.mark.parametrize("width", [400, 1280])
 def test_site_pages_fit_width(width: int, pages: dict[Path, Page], tmp_path: Path) -> None:
     """On a telephone and a desktop; wide tables and code scroll."""
-    shown = written(pages)
-    assert len(shown) > 15
+    paths = written(pages)
+    assert len(paths) > 15
     for path, (available, needed, name, missing, out) in zip(
-        shown, measured(shown, width, tmp_path), strict=True
+        paths, measured(paths, width, tmp_path), strict=True
     ):
         assert name, path
         assert width - 20 <= available <= width, "the frame has its width, except for a scroll bar"

@@ -44,8 +44,8 @@ BAD_REQUESTS = [
 
 def address_in(file: Path) -> tuple[int, str]:
     """The port and the token of the file that leads to a page."""
-    (found,) = set(re.findall(r"http://127\.0\.0\.1:(\d+)/#([\w-]+)", file.read_text()))
-    return int(found[0]), found[1]
+    (address,) = set(re.findall(r"http://127\.0\.0\.1:(\d+)/#([\w-]+)", file.read_text()))
+    return int(address[0]), address[1]
 
 
 @contextlib.contextmanager
@@ -69,9 +69,12 @@ def connect_to(port: int, host: str) -> http.client.HTTPConnection:
 
 def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
     """A WebSocket as a page of an origin opens it, by a name of this machine."""
-    own = socket.create_connection(("127.0.0.1", port))
+    connection = socket.create_connection(("127.0.0.1", port))
     return connect(
-        f"ws://{host or '127.0.0.1'}:{port}/socket", sock=own, origin=origin, open_timeout=HANG_S
+        f"ws://{host or '127.0.0.1'}:{port}/socket",
+        sock=connection,
+        origin=origin,
+        open_timeout=HANG_S,
     )  # type: ignore[arg-type]
 
 

@@ -203,8 +203,8 @@ def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monk
     Path("settings.toml").write_text(last["settings"])
     code, _, err = command("", *shlex.split(last["command"])[1:], "--out", "out")
     assert code == 0, err
-    shown = with_pictures(sent)["pictures"]["image"]
-    np.testing.assert_array_equal(pixels(shown), codes_of(tmp_path / "out/image.png"))
+    uri = with_pictures(sent)["pictures"]["image"]
+    np.testing.assert_array_equal(pixels(uri), codes_of(tmp_path / "out/image.png"))
 
 
 # --- controls

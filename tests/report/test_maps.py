@@ -46,7 +46,7 @@ def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
 
 def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
     delta_e, fit = fitted(optimum_um, least)
-    of_case = {"at": case.at, "condition": case.condition, "alone": case.one_at_a_time}
+    labels = {"at": case.at, "condition": case.condition, "alone": case.one_at_a_time}
     return Curve(
         technology,
         0.35,
@@ -54,7 +54,7 @@ def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Cu
         np.ones(PITCH_UM.size),
         {"mean_delta_e": delta_e},
         fit,
-        case=CaseLabels(**of_case),
+        case=CaseLabels(**labels),
     )
 
 

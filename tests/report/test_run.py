@@ -125,12 +125,12 @@ def test_run_unknown_white_is_measured(tmp_path):
         pixsim.derive(pixsim.Pixel()).quantum_efficiency(fine_nm) * fine_nm,
         pixsim.spectral.d65(fine_nm),
     )
-    of_white = pixsim.spectral.photopic_efficiency(fine_nm).mean(axis=1) @ daylight.mean(axis=1)
+    white_sum = pixsim.spectral.photopic_efficiency(fine_nm).mean(axis=1) @ daylight.mean(axis=1)
     expected = (
         683.002
         * 0.01
         * electrons.sum()
-        * of_white
+        * white_sum
         / (electrons.mean(axis=1) @ daylight.mean(axis=1))
     )
     image, camera = read_with_camera(path, CameraOptions())

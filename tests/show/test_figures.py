@@ -41,7 +41,9 @@ def perceived_lab(colours: tuple[str, ...], eye: str | None) -> np.ndarray:
 def least_distance(lab: np.ndarray) -> float:
     import colour
 
-    return min(float(colour.delta_E(one, other, "CIE 2000")) for one, other in combinations(lab, 2))
+    return min(
+        float(colour.delta_E(first, second, "CIE 2000")) for first, second in combinations(lab, 2)
+    )
 
 
 @pytest.mark.filterwarnings("ignore:.*tritanomaly")  # its model is the least certain
@@ -52,7 +54,7 @@ def test_colours_first_four_differ_for_every_eye(eye: str | None) -> None:
     # The measure can fail: red and green of one lightness merge for a deuteranope.
     if eye == "Deuteranomaly":
         merged, apart = (
-            least_distance(perceived_lab(("#B05A00", "#6C7A00"), each)) for each in (eye, None)
+            least_distance(perceived_lab(("#B05A00", "#6C7A00"), vision)) for vision in (eye, None)
         )
         assert merged < 10 < apart
 

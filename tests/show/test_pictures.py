@@ -60,17 +60,17 @@ def test_delta_e_png_map_fills_axes(shape):
     """Bright in the upper left quarter and dark elsewhere, whatever the number of dots."""
     delta_e = np.zeros(shape)
     delta_e[: shape[0] // 2, : shape[1] // 2] = 10
-    shown = np.asarray(
+    picture = np.asarray(
         Image.open(io.BytesIO(delta_e_png(delta_e, picture_axes(light(shape)), 10.0)))
     ).astype(int)
     height, width = (MAP * n // max(shape) for n in shape)
-    inside = shown[TOP : TOP + height, LEFT : LEFT + width]
+    inside = picture[TOP : TOP + height, LEFT : LEFT + width]
     bright = np.abs(inside - delta_e_colours(np.array([[10.0]]), 10.0)[0, 0]).sum(axis=2) == 0
     assert bright[: height // 2 - 1, : width // 2 - 1].all()
     assert not bright[height // 2 + 1 :].any()
     assert not bright[:, width // 2 + 1 :].any()
-    assert (shown[: TOP // 4] == 255).all(), "white around it"
-    assert (shown[TOP // 2 : TOP, LEFT : LEFT + width] < 128).any(), "a title"
+    assert (picture[: TOP // 4] == 255).all(), "white around it"
+    assert (picture[TOP // 2 : TOP, LEFT : LEFT + width] < 128).any(), "a title"
 
 
 @pytest.mark.parametrize("shape", [(40, 30), (40, 30, 1), (40, 30, 3)])

@@ -70,7 +70,7 @@ def document(**changes: object) -> Document:
 
 
 def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge() -> None:
-    shown = render.text(
+    text = render.text(
         document(
             terminal=(
                 Answer("head", ("below",)),
@@ -79,7 +79,7 @@ def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge(
             )
         )
     )
-    assert shown.splitlines() == [
+    assert text.splitlines() == [
         "head",
         "  below",
         "  size  mean ΔE  remark",
@@ -115,9 +115,9 @@ def test_json_states_the_schema() -> None:
 
 
 def test_every_string_is_escaped() -> None:
-    for shown in (render.html(document()), render.notebook(document(lead=BLOCKS))):
-        assert "<script" not in shown
-        assert {"code", "b", "a", "img", "table"} <= set(Elements(shown).tags)
+    for text in (render.html(document()), render.notebook(document(lead=BLOCKS))):
+        assert "<script" not in text
+        assert {"code", "b", "a", "img", "table"} <= set(Elements(text).tags)
     assert 'href="a%20%22b%22.csv"' in render.html(document())
 
 
