@@ -73,8 +73,12 @@ VALUES: list[tuple[str, PixelPhysics, str, Any]] = [
     # A technology's noise after the amplifier belongs to its own read noise.
     ("noise of a process", derive(Pixel(**BSI), NOISY_PROCESS), "noise_floor_e", 5.0),
     *(
-        (f"noise of a pixel {options}", derive(Pixel(**BSI | options), NOISY_PROCESS), name, value)
-        for name in ("noise_floor_e",)
+        (
+            f"noise of a pixel {options}",
+            derive(Pixel(**BSI | options), NOISY_PROCESS),
+            "noise_floor_e",
+            value,
+        )
         for options, value in (
             ({"read_noise_e": 2.0}, 2.0),
             ({"read_noise_e": 12.0, "read_noise_after_gain_e": 5.0}, 13.0),
