@@ -46,6 +46,7 @@ from pixsim.sensor.photodiode import (
     collected_charge_e,
     default_diode,
     diode_of,
+    linear_limit_e,
     stored_signal_e,
 )
 from pixsim.sensor.pixel import (
@@ -703,6 +704,8 @@ def zero_bias_v(name: str) -> float:
     return -diode.thermal_v * math.log1p(light_e_per_s / diode.saturation_current_e_per_s)
 
 
+ENDLESS = Readout.of(pixel_035(well_limit="diode", dark_current_e_per_s=0))
+SHARES = np.array([0.0, 0.5, 1.0, 2.0, 1e6])
 PHOTODIODES = [
     Claim(
         "the bias inverts the charge into deep forward bias",
@@ -824,6 +827,17 @@ PHOTODIODES = [
         [0.0, 1.0, 1.0],
         atol=1e-6,
         why="the table",
+    ),
+    Claim(
+        "a well without a diode current is linear up to any charge",
+        lambda: linear_limit_e(diode_of(ENDLESS.physics), ENDLESS.full_well_e, 0.1),
+        math.inf,
+    ),
+    Claim(
+        "and holds more than its full well",
+        lambda: stored_signal_e(SHARES * ENDLESS.full_well_e, 0.1, ENDLESS) / ENDLESS.full_well_e,
+        SHARES,
+        rtol=1e-12,
     ),
     Claim(
         "a constant capacitance is linear",

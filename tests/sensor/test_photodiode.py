@@ -78,18 +78,6 @@ def test_charge_grows_with_light_and_time_up_to_its_limits(
 # --- Wells
 
 
-@pytest.mark.parametrize("conversion", ["linear", "junction"])
-def test_a_well_without_a_diode_current_never_saturates(conversion: Any) -> None:
-    readout = reading(well_limit="diode", dark_current_e_per_s=0, conversion=conversion)
-    full_well_e = readout.full_well_e
-    junction = diode_of(readout.physics)
-    assert photodiode.linear_limit_e(junction, full_well_e, 0.1) == math.inf
-    generated_e = np.array([0.0, 1.0, 2.0, 1e6]) * full_well_e
-    level_e = photodiode.stored_signal_e(generated_e, 0.1, readout)
-    assert np.diff(level_e).min() > 0
-    assert level_e[1] == pytest.approx(full_well_e, rel=1e-6)
-
-
 # --- Signal of the sensor
 
 

@@ -359,8 +359,3 @@ def test_sampled_dark_currents_have_the_mean_and_variance_of_the_closed_form(
     check_mean("mean", factors, 1.0)
     check_mean("variance", (factors - 1) ** 2, spread.variance)
     assert factors.min() > 0
-
-
-def test_without_hot_pixels_the_draws_are_gamma() -> None:
-    drawn = DarkSpread(0.3).sample((4, 5), seeded(3))
-    np.testing.assert_array_equal(drawn, seeded(3).gamma(0.3**-2, 0.3**2, (4, 5)))
