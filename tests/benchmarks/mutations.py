@@ -50,6 +50,21 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "(2 * (count - 1))",
     ): "both colour channels have a filter already",
     (
+        "pixsim/viewer/denoising/anscombe.py",
+        "last + 1.0",
+        "last - 1.0",
+    ): "numbers of electrons beyond 9 deviations have 1e-17 of the whole",
+    (
+        "pixsim/viewer/chain.py",
+        "size_um - float(edges[-1])",
+        "(2 * (size_um - float(edges[-1])))",
+    ): "the scored dots are centred: the room on the other side is the smaller one",
+    (
+        "pixsim/viewer/demosaic.py",
+        "products * taps[0]",
+        "products / taps[0]",
+    ): "filters of one tap have the weight 1",
+    (
         "pixsim/viewer/demosaic.py",
         "2 * _SPLINE_RANGE_PX",
         "(2 * (2 * _SPLINE_RANGE_PX))",
