@@ -79,9 +79,21 @@ def test_cases_are_a_product_then_single_moves_each_under_every_condition() -> N
     assert cases[0].settings.scene.parameters["luminance_cd_per_m2"] == 300.0
 
 
-def test_an_axis_may_set_the_technology() -> None:
-    axis = {"name": "process", "set": "pixel.technology", "values": ["0.5um", "0.25um"]}
-    cases = cases_of(tiny(axis=[axis]))
+@pytest.mark.parametrize(
+    "axis",
+    [
+        {"set": "pixel.technology", "values": ["0.5um", "0.25um"]},
+        {
+            "values": [
+                {"label": "old", "set": {"pixel": {"technology": "0.5um", "prnu": 0.02}}},
+                {"label": "new", "set": {"pixel": {"technology": "0.25um"}}},
+            ]
+        },
+    ],
+    ids=["setting", "tables"],
+)
+def test_an_axis_may_set_the_technology(axis: dict[str, Any]) -> None:
+    cases = cases_of(tiny(axis=[{"name": "process"} | axis]))
     assert [case.settings.technologies for case in cases] == [("0.5um",), ("0.25um",)]
 
 
@@ -210,7 +222,7 @@ def test_study_computes_only_what_is_new(done: tuple[StudyResult, Path], tmp_pat
     before = set(keys(folder))
     samples = {"name": "shown", "set": "display.samples_per_deg", "values": [10.0, 20.0]}
     lenses = {"name": "lens", "set": "camera.f_number", "values": [8.0, 4.0, 5.6]}
-    displays = pixsim.study(small(axis=[samples], seed=7), tmp_path, jobs=1)
+    displays = pixsim.study(small(axis=[samples], seed=7, exposure={"frames": 2}), tmp_path, jobs=1)
     with_lenses = pixsim.study(small(axis=[lenses], condition=[NIGHT]), folder, jobs=1)
     counts = [
         (item.cases, item.evaluations_made, item.evaluations_reused, item.frames_reused)

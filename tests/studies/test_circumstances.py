@@ -116,6 +116,14 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     assert job.shown.cases[0].camera.die_mm == 1.28
 
 
+def test_option_that_every_condition_sets_is_named(files: list[Path]) -> None:
+    options = {"scene": {"luminance_cd_per_m2": 5.0}}
+    with pytest.warns(
+        UserWarning, match="luminance_cd_per_m2 is not used: every condition sets it"
+    ):
+        prepare(files, study=plan(condition=BOTH), match="view", repeats=2, options=options)
+
+
 def test_scene_of_an_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     assert prepare(files, "flat", study=study, match="view", repeats=2).shown.scene == "flat"

@@ -296,6 +296,11 @@ CLAIMS = [
         rtol=1e-9,
     ),
     Claim(
+        "equal sensors have no error of their difference",
+        lambda: steps([[2.0], [2.1], [2.4]]).error_of_difference(steps([[2.0], [2.1], [2.4]])),
+        0.0,
+    ),
+    Claim(
         "changes on finer films count with three standard errors of their mean over parts",
         lambda: steps([[1.0] * 2] * 3, [[1.0, 1.0], [1.1, 1.3], [1.0, 1.0]]).error(),
         [1.0, 2.5 * (0.2 + 3 * 0.1)],

@@ -109,8 +109,10 @@ def test_case_without_possible_sizes_is_left_out_with_the_reason(tmp_path: Path)
     assert result.as_dict()["left_out"] == list(result.left_out)
     assert result.left_out[0].startswith("4t-bsi, deep: ")
 
-    with pytest.raises(PixsimError, match=r"4t-bsi: 0 of 5 pixel sizes.*noise gains"):
-        pixsim.study(small(pixel=STACKED, **sizes), out=tmp_path / "none", jobs=1)
+    deep = STACKS | {"values": STACKS["values"][1:]}
+    study = small(pixel={"colour": CAMERA}, axis=[deep], resolution=64, **sizes)
+    with pytest.raises(PixsimError, match=r"4t-bsi, deep: none of its.*noise gains"):
+        pixsim.study(study, out=tmp_path / "none", jobs=1)
 
 
 def test_packaged_study_of_filters_is_possible() -> None:

@@ -81,6 +81,14 @@ def test_pixels_of_several_sizes_are_scored_on_the_same_dots() -> None:
     assert small["mean_image"] == pytest.approx(expected[0].image[3:-3, 3:-3].mean(), rel=1e-12)
 
 
+def test_metric_without_a_number_for_a_sensor_is_nan() -> None:
+    """In a second all pixels are full, and their noise is hidden."""
+    exposure = Exposure(integration_s=1.0)
+    with pytest.warns(UserWarning, match="pixel old: the metric visual_noise"):
+        table = sweep(LIGHT, PIXELS, display=DISPLAY, exposure=exposure, metrics=["visual_noise"])
+    assert np.isnan(table[0]["visual_noise"])
+
+
 def test_processes_change_no_number_and_another_light_does() -> None:
     """Two lights whose headers say the same, in the workers of one another: their chains are not
     mixed up.

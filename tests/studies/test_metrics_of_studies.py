@@ -162,6 +162,27 @@ def test_comparison_has_scores_and_probabilities_of_each_metric() -> None:
     assert 0 <= entry["probability_a_better"]["4t-bsi"] < 0.5, "a quieter pixel"
 
 
+def test_metric_without_a_number_is_named_with_its_sensor() -> None:
+    """Of full pixels, whose noise is hidden."""
+    options: dict[str, Any] = {
+        "display": {"dots": 32},
+        "resolution": 48,
+        "pixel": {"pitch_um": 60.0},
+    }
+    sensors = ["0.35um", "4t-bsi"]
+    with pytest.warns(UserWarning, match="0.35um: the metric visual_noise"):
+        result = pixsim.compare(
+            sensors,
+            "flat",
+            metrics=["visual_noise"],
+            exposure={"integration_s": 1.0},
+            repeats=2,
+            jobs=1,
+            **options,
+        )
+    assert np.isnan(result.judged["visual_noise"]["0.35um"]).all()
+
+
 def test_curve_that_was_sent_to_a_worker_is_judged_by_delta_e(
     judged: tuple[StudyResult, Path],
 ) -> None:

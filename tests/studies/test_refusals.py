@@ -88,6 +88,7 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
         partial(axis, count=3, spacing="log", **{"from": 0.0, "to": 3.0}),
         ("above 0",),
     ),
+    "axis with an empty text": (partial(axis, values=[""]), ("a number, a name",)),
     "axis of steps that are too small": (
         partial(axis, count=900, **{"from": 2.0, "to": 2.1}),
         ("occurs twice",),
@@ -135,6 +136,19 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     ),
     "technologies beside their axis": (
         partial(tiny, technologies=["0.35um"], axis=[TECHNOLOGY]),
+        ("leave technologies out",),
+    ),
+    "technologies beside their axis of tables": (
+        partial(
+            tiny,
+            technologies=["0.35um"],
+            axis=[
+                {
+                    "name": "t",
+                    "values": [{"label": "b", "set": {"pixel": {"technology": "4t-bsi"}}}],
+                }
+            ],
+        ),
         ("leave technologies out",),
     ),
     "an axis of a setting of the whole study": (
@@ -299,6 +313,14 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "a condition of the pixel size": (
         partial(compare_in, {"pixel": {"pitch_um": 3.0}}),
         ("condition x", "set.pixel.pitch_um"),
+    ),
+    "a condition of another field of the scene": (
+        partial(compare_in, {"scene": {"xml": 1}}),
+        ("condition x", "scene.file"),
+    ),
+    "a pair of one frame": (
+        partial(compare, "a.toml", "b.toml", repeats=1),
+        ("repeats", "2 to 10000"),
     ),
     "a condition of no scene": (partial(compare_in, {"scene": 3}), ("condition x", "scene.file")),
     "a condition of an unknown parameter": (
