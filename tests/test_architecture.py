@@ -111,14 +111,14 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
 
     settings : whether imports of what users state count, too
     """
-    found = (
+    module_pairs = (
         (module, other)
         for module, others in arrows().items()
         for other in others
         if settings or other not in SETTINGS
     )
-    pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, other in found}
-    return {(one, other) for one, other in pairs if one != other}
+    pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, other in module_pairs}
+    return {(package, other) for package, other in pairs if package != other}
 
 
 def result_types() -> list[type[Result]]:
@@ -184,9 +184,9 @@ def test_functions_between_light_and_score_take_imaging() -> None:
                 arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
                 words = {
                     word
-                    for each in arguments
-                    if each.annotation
-                    for word in re.findall(r"\w+", ast.unparse(each.annotation))
+                    for argument in arguments
+                    if argument.annotation
+                    for word in re.findall(r"\w+", ast.unparse(argument.annotation))
                 }
                 many[f"{module}.{node.name}"] = {
                     part for word, part in PARTS_OF_IMAGING.items() if word in words
@@ -229,15 +229,21 @@ def test_files_are_in_packages() -> None:
 
 def test_packages_import_allowed_packages_only() -> None:
     backwards = {
-        (one, other) for one, other in package_arrows(settings=False) if other not in ALLOWED[one]
+        (package, other)
+        for package, other in package_arrows(settings=False)
+        if other not in ALLOWED[package]
     }
     assert not backwards
 
 
 def test_packages_import_settings_of_allowed_packages_only() -> None:
-    known = {name: {*others, *KNOWS_SETTINGS_OF.get(name, ())} for name, others in ALLOWED.items()}
+    importable = {
+        name: {*others, *KNOWS_SETTINGS_OF.get(name, ())} for name, others in ALLOWED.items()
+    }
     assert {
-        (one, other) for one, other in package_arrows(settings=True) if other not in known[one]
+        (package, other)
+        for package, other in package_arrows(settings=True)
+        if other not in importable[package]
     } == set()
 
 
@@ -275,7 +281,7 @@ def test_imports_have_no_cycles() -> None:
         if module in MODULES
     }
     packages = {
-        name: {other for one, other in package_arrows(settings=True) if one == name}
+        name: {other for package, other in package_arrows(settings=True) if package == name}
         for name in ALLOWED
     }
     assert files["cli"], "the graph is empty"

@@ -242,7 +242,7 @@ def owner_of(name: str) -> str | None:
 
 def targets() -> dict[str, Callable[..., Any]]:
     """Functions, classes and methods that take arguments."""
-    found: dict[str, Callable[..., Any]] = {}
+    functions: dict[str, Callable[..., Any]] = {}
     for name, thing in PUBLIC.items():
         if not callable(getattr(thing, "__func__", thing)) or any(
             name.startswith(skipped) for skipped in NOT_CALLED
@@ -253,9 +253,9 @@ def targets() -> dict[str, Callable[..., Any]]:
         if thing is Result.write:  # of each result: it writes a folder; tested below
             continue
         signature = inspect.signature(getattr(thing, "__func__", thing))
-        if [each for each in signature.parameters if each not in ("self", "cls")]:
-            found[name] = thing
-    return found
+        if [argument for argument in signature.parameters if argument not in ("self", "cls")]:
+            functions[name] = thing
+    return functions
 
 
 TARGETS = targets()
@@ -266,9 +266,9 @@ def arguments_of(name: str) -> dict[str, inspect.Parameter]:
     parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters
     variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
     return {
-        key: each
-        for key, each in parameters.items()
-        if key not in ("self", "cls") and each.kind not in variadic
+        key: parameter
+        for key, parameter in parameters.items()
+        if key not in ("self", "cls") and parameter.kind not in variadic
     }
 
 
@@ -288,8 +288,8 @@ def required(name: str) -> dict[str, Any]:
         return records(name)
     return {
         key: good(name, key)
-        for key, each in arguments_of(name).items()
-        if each.default is each.empty or key in ALWAYS.get(name, ())
+        for key, parameter in arguments_of(name).items()
+        if parameter.default is parameter.empty or key in ALWAYS.get(name, ())
     }
 
 
@@ -308,7 +308,7 @@ def records(name: str) -> dict[str, Any]:
             }
         return SMALL_RECORDS.get(thing.__name__, {})
     instance = INSTANCES[thing.__name__]()
-    return {each.name: getattr(instance, each.name) for each in fields(thing) if each.init}
+    return {field.name: getattr(instance, field.name) for field in fields(thing) if field.init}
 
 
 def call(name: str, arguments: dict[str, Any]) -> Any:

@@ -56,11 +56,11 @@ def file_of(path: Path, pixel: dict[str, Any]) -> Path:
 
 
 def options_of(pixel: dict[str, Any], name: str = "--pixel") -> list[str]:
-    found = []
+    words = []
     for key, value in pixel.items():
         option = f"{name}.{key.replace('_', '-')}"
-        found += options_of(value, option) if isinstance(value, dict) else [option, str(value)]
-    return found
+        words += options_of(value, option) if isinstance(value, dict) else [option, str(value)]
+    return words
 
 
 def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
@@ -68,14 +68,15 @@ def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
     each with a half of it.
     """
     folder.mkdir(exist_ok=True)
-    one, other = (dict(list(pixel.items())[start::2]) for start in (0, 1))
+    first_half, second_half = (dict(list(pixel.items())[start::2]) for start in (0, 1))
     whole, first, second = (
-        file_of(folder / f"{n}.toml", part) for n, part in enumerate((pixel, one, other))
+        file_of(folder / f"{n}.toml", part)
+        for n, part in enumerate((pixel, first_half, second_half))
     )
     return {
         "file": ["--config", whole],
         "options": options_of(pixel),
-        "both": ["--config", first, *options_of(other)],
+        "both": ["--config", first, *options_of(second_half)],
         "files": ["--config", first, "--config", second],
         "none": ["--config", whole, "--pixel.technology", "none"],
     }
@@ -144,8 +145,8 @@ def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
         (SHEET, "temporal_dark_noise_e", "read_noise_e"),
         (WORDS, "read_noise_e", "temporal_dark_noise_e"),
     ):
-        found = run_settings(file_of(tmp_path / "a.toml", pixel), {"pixel": {name: 9.0}}).pixel
-        assert (getattr(found, name), getattr(found, other), found.technology) == (
+        sensor = run_settings(file_of(tmp_path / "a.toml", pixel), {"pixel": {name: 9.0}}).pixel
+        assert (getattr(sensor, name), getattr(sensor, other), sensor.technology) == (
             9.0,
             None,
             "none",
@@ -249,10 +250,10 @@ def test_datasheet_returns_published_numbers(name: str) -> None:
     pixel = settings.pixel
     assert (pixel.technology, pixel.assumption) == ("none", "")
     sheet = make_datasheet(pixel, wavelength_nm=PUBLISHED[name])
-    found = {entry.symbol: entry for entry in sheet.entries}
+    entries = {entry.symbol: entry for entry in sheet.entries}
     assert sheet.transfer.limited == (name in BOUNDED)
     for symbol, value in expected_numbers(pixel, name).items():
-        entry = found[symbol]
+        entry = entries[symbol]
         if sheet.transfer.limited and symbol == "σ_d":
             assert value < entry.measured < 1.1 * value, "an upper bound"
             continue

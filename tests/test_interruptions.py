@@ -105,16 +105,18 @@ def takes_signals(pid: int) -> bool:
 
 def processes_of(group: int) -> list[str]:
     """Command lines of the living processes of a group."""
-    found = []
+    command_lines = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
             try:
-                state, _, own = (folder / "stat").read_text().rpartition(")")[2].split()[:3]
-                if int(own) == group and state != "Z":
-                    found.append((folder / "cmdline").read_text().replace("\0", " "))
+                state, _, process_group = (
+                    (folder / "stat").read_text().rpartition(")")[2].split()[:3]
+                )
+                if int(process_group) == group and state != "Z":
+                    command_lines.append((folder / "cmdline").read_text().replace("\0", " "))
             except OSError:  # it has just ended
                 continue
-    return found
+    return command_lines
 
 
 def wait_for(condition: object, longest_s: float = HANG_S) -> None:
@@ -641,18 +643,18 @@ def test_command_deleted_current_folder(
 
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
     row, results = dict.fromkeys(COLUMNS, "1"), Store(tmp_path / "results.csv")
-    kept = (
+    words = (
         f"3 finished evaluations are kept in '{tmp_path}', and the same command continues from them"
     )
     with (
-        pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(kept)}\.$"),
+        pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(words)}\.$"),
         reported_saved_rows(tmp_path),
     ):
         raise UnwritableError(
             results.write([(row | {"key": key}).values() for key in "abc"]) or "a full disk."
         )
     with (
-        pytest.raises(KeyboardInterrupt, match=f"^{re.escape(kept)}$"),
+        pytest.raises(KeyboardInterrupt, match=f"^{re.escape(words)}$"),
         reported_saved_rows(tmp_path),
     ):
         raise KeyboardInterrupt(results.add([]) or os.utime(results.path, ns=(0, 0)))

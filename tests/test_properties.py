@@ -280,8 +280,8 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
             score = pixsim.evaluate(**records_of(chain))
             assert_possible(score.frame)
             assert 0 <= score.delta_e.min() <= score.delta_e.max() < math.inf
-            for shown in (score.ideal, score.image):
-                assert 0 <= shown.min() <= shown.max() <= 1
+            for display_image in (score.ideal, score.image):
+                assert 0 <= display_image.min() <= display_image.max() <= 1
             assert all(math.isfinite(value) for value in score.statistics().values())
 
     scored()
@@ -295,6 +295,6 @@ def test_evaluate_is_finite_and_in_range_or_raises() -> None:
 @given(chains())
 def test_evaluate_same_seed_is_identical(chain: dict[str, Any]) -> None:
     with only_explained_errors(Counter()):
-        one, same = (pixsim.evaluate(**records_of(chain)) for _ in range(2))
-        np.testing.assert_array_equal(one.frame.dn, same.frame.dn)
-        np.testing.assert_array_equal(one.delta_e, same.delta_e)
+        first, second = (pixsim.evaluate(**records_of(chain)) for _ in range(2))
+        np.testing.assert_array_equal(first.frame.dn, second.frame.dn)
+        np.testing.assert_array_equal(first.delta_e, second.delta_e)

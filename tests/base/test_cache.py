@@ -239,24 +239,24 @@ def test_limit_zero_disables_cache(folder, monkeypatch):
 
 def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, tmp_path):
     """They are code."""
-    own = private_folder("kernels")
-    assert (own, own.stat().st_mode & 0o777) == (folder / "kernels", 0o700)
+    kernels = private_folder("kernels")
+    assert (kernels, kernels.stat().st_mode & 0o777) == (folder / "kernels", 0o700)
 
     def assert_not_used() -> None:
         with pytest.warns(UserWarning, match="not a folder that only you can write"):
             other = private_folder("kernels")
         status = other.stat()
-        assert (other != own, status.st_mode & 0o777) == (True, 0o700)
+        assert (other != kernels, status.st_mode & 0o777) == (True, 0o700)
         assert status.st_uid == os.geteuid()
 
-    own.chmod(0o770)
+    kernels.chmod(0o770)
     assert_not_used()
-    own.chmod(0o700)
+    kernels.chmod(0o700)
     if os.geteuid() == 0:  # only root can give a folder away
-        os.chown(own, 12345, -1)
+        os.chown(kernels, 12345, -1)
         assert_not_used()
-    own.rename(tmp_path / "theirs")
-    own.symlink_to(tmp_path / "theirs")
+    kernels.rename(tmp_path / "theirs")
+    kernels.symlink_to(tmp_path / "theirs")
     assert_not_used()
 
 

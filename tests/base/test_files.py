@@ -145,11 +145,11 @@ def test_digest_of_sees_each_change(
     path = tmp_path / "a.txt"
     now_ns = time.time_ns() + (3 * UNCHANGED_NS if age == "settled" else 0)
     monkeypatch.setattr("pixsim.base.files.time.time_ns", lambda: now_ns)
-    found = []
+    digests = []
     for text in ("one", "two", "one"):
         path.write_text(text)
         if age == "settled":  # long after the last change, so at another time
-            os.utime(path, ns=(now_ns - 2 * UNCHANGED_NS + len(found),) * 2)
-        found += [digest_of(path), digest_of(path)]
-    assert found[0] == found[1] == found[4] == found[5] != found[2] == found[3]
-    assert found[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
+            os.utime(path, ns=(now_ns - 2 * UNCHANGED_NS + len(digests),) * 2)
+        digests += [digest_of(path), digest_of(path)]
+    assert digests[0] == digests[1] == digests[4] == digests[5] != digests[2] == digests[3]
+    assert digests[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()

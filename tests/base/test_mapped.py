@@ -61,12 +61,12 @@ def test_memory_holds_the_parts_in_use() -> None:
     assert resident_mib() - before == pytest.approx(64, abs=2)
     release(large)
     assert resident_mib() - before < 2
-    most = 0.0
+    largest_mib = 0.0
     for row in large:
         row *= 2.0
-        most = max(most, resident_mib() - before)
+        largest_mib = max(largest_mib, resident_mib() - before)
         release(row)
-    assert 1.5 < most < 6  # neighbouring pages come along
+    assert 1.5 < largest_mib < 6  # neighbouring pages come along
     assert large.sum(dtype=float) == 2.0 * large.size
 
 

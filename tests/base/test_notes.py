@@ -32,9 +32,9 @@ def tell(text: str = "told", category: type[Warning] = UserWarning) -> None:
 def shown_as(
     action: Literal["always", "default", "ignore", "error"],
 ) -> Iterator[list[warnings.WarningMessage]]:
-    with warnings.catch_warnings(record=True) as shown:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter(action)
-        yield shown
+        yield caught
 
 
 def test_collected_notes_are_there_once_whatever_was_shown_before() -> None:
@@ -80,9 +80,9 @@ def test_collected_notes_inner_block_shares_list() -> None:
 
 @given(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300))
 def test_told_apart_order_is_that_of_the_numbers(value: float, limit: float) -> None:
-    shown, asked = map(float, distinct_texts(value, limit))
-    assert (shown > asked) == (value > limit)
-    assert (shown == asked) == (value == limit)
+    value_text, limit_text = map(float, distinct_texts(value, limit))
+    assert (value_text > limit_text) == (value > limit)
+    assert (value_text == limit_text) == (value == limit)
 
 
 CALLS = [
@@ -100,13 +100,16 @@ def test_each_note_is_of_a_kind_and_has_the_values_of_its_template() -> None:
         (kind,) = call.args
         assert isinstance(kind, ast.Constant), name
         made.add(kind.value)
-        given = {keyword.arg for keyword in call.keywords}
+        stated = {keyword.arg for keyword in call.keywords}
         wanted = {
             field
             for _, field, _, _ in string.Formatter().parse(NOTES[kind.value].template)
             if field
         }
-        assert given == wanted or (None in given and given - {None} < wanted), (name, call.lineno)
+        assert stated == wanted or (None in stated and stated - {None} < wanted), (
+            name,
+            call.lineno,
+        )
     assert made == set(NOTES), "each kind is used"
 
 

@@ -20,13 +20,13 @@ class Clock:
 
 
 @pytest.fixture
-def told() -> tuple[Lines, Clock, list[str]]:
+def recorder() -> tuple[Lines, Clock, list[str]]:
     clock, written = Clock(), list[str]()
     return Lines(written.append, clock), clock, written
 
 
-def test_lines_start_every_five_seconds_and_end(told: tuple[Lines, Clock, list[str]]) -> None:
-    lines, clock, written = told
+def test_lines_start_every_five_seconds_and_end(recorder: tuple[Lines, Clock, list[str]]) -> None:
+    lines, clock, written = recorder
     lines.begin("render")
     for second in range(1, 26):
         clock.now = 100.0 + second
@@ -49,9 +49,11 @@ def test_lines_start_every_five_seconds_and_end(told: tuple[Lines, Clock, list[s
     ]
 
 
-def test_lines_time_left_of_a_stage_that_begins_again(told: tuple[Lines, Clock, list[str]]) -> None:
+def test_lines_time_left_of_a_stage_that_begins_again(
+    recorder: tuple[Lines, Clock, list[str]],
+) -> None:
     """What a finer film has left follows from its own speed."""
-    lines, clock, written = told
+    lines, clock, written = recorder
     lines.begin("render")
     clock.now += 9
     lines.update(0.9)
@@ -63,10 +65,10 @@ def test_lines_time_left_of_a_stage_that_begins_again(told: tuple[Lines, Clock, 
 
 
 def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
-    told: list[tuple[float, str]] = []
+    reports: list[tuple[float, str]] = []
 
     def progress(done: float, note: str = "") -> None:
-        told.append((done, note))
+        reports.append((done, note))
 
     step_done = steps_of(share_of(progress, 0.5, 1.0, ", second"), 2)
     step_done()
@@ -74,7 +76,13 @@ def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
     with watched(progress), watched_share(0.0, 0.5):
         report(0.5)
     report(0.9)  # nobody watches
-    assert told == [(0.5, ", second"), (0.75, ", second"), (1.0, ", second"), (0.0, ""), (0.25, "")]
+    assert reports == [
+        (0.5, ", second"),
+        (0.75, ", second"),
+        (1.0, ", second"),
+        (0.0, ""),
+        (0.25, ""),
+    ]
 
 
 def test_stages_without_terminal_tick_while_nothing_is_reported(

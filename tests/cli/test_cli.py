@@ -265,11 +265,11 @@ def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
         imread(picture / "out/image.png")[:, :, 0].astype(float), 1
     )  # the border of one dot is not shown
     middles = np.where(away_from_edges(128), 1.0, np.nan)
-    shown, expected = (
+    means, expected = (
         np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3))
         for image in (png**2.2, expected_quadrants(128))
     )
-    np.testing.assert_allclose(shown, expected, rtol=0.005)
+    np.testing.assert_allclose(means, expected, rtol=0.005)
     assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and colour bar"
 
 

@@ -91,8 +91,8 @@ def test_pairs_of_numbers_are_texts_of_options(
     option: str, record: type[Record], name: str
 ) -> None:
     """As `pixsim explore` copies them into a command, too."""
-    found = getattr(record.model_validate({name: option}), name)
-    assert found == tuple(map(float, option.replace(",", " ").split()))
+    numbers = getattr(record.model_validate({name: option}), name)
+    assert numbers == tuple(map(float, option.replace(",", " ").split()))
 
 
 def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:

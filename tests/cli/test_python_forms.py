@@ -48,14 +48,17 @@ def options_of(command: str) -> set[str]:
     """Names of the options of a command, of tables that of the table, as arguments of a function
     have them.
     """
-    named = [
-        each
-        for each in app[command].assemble_argument_collection()
-        if each.field_info.kind is inspect.Parameter.KEYWORD_ONLY
+    arguments = [
+        argument
+        for argument in app[command].assemble_argument_collection()
+        if argument.field_info.kind is inspect.Parameter.KEYWORD_ONLY
     ]
     words = (
-        next((word for word in each.names if word.startswith("--") and word[:8] != "--empty-"), "")
-        for each in named
+        next(
+            (word for word in argument.names if word.startswith("--") and word[:8] != "--empty-"),
+            "",
+        )
+        for argument in arguments
     )
     return {word.removeprefix("--").partition(".")[0].replace("-", "_") for word in words if word}
 
