@@ -256,6 +256,7 @@ def test_fit_curve_scales_with_delta_e(bend: float) -> None:
     scaled = fit_curve(PITCH_UM, 1e3 * delta_e)
     assert fit.is_logarithmic == scaled.is_logarithmic == (bend == 9.0)
     np.testing.assert_allclose(scaled.delta_e, 1e3 * fit.delta_e, rtol=1e-9)
+    assert scaled.noise == pytest.approx(fit.noise, rel=1e-9), "relative"
     np.testing.assert_allclose(scaled.high - scaled.low, 1e3 * (fit.high - fit.low), rtol=1e-6)
     np.testing.assert_allclose(scaled.optimum.interval_um, fit.optimum.interval_um, rtol=1e-9)
 

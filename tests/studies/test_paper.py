@@ -49,6 +49,7 @@ from pixsim.studies.design import pixel_of
 from pixsim.studies.files import load_study
 from pixsim.studies.lights import Light
 from pixsim.studies.merit import (
+    csf_range_lp_per_mm,
     detail_terms,
     mpe30_lx_s,
     mtf50_cy_per_mm,
@@ -360,8 +361,7 @@ def test_terms_of_detail_are_those_of_a_frequency_of_the_picture() -> None:
     assert frequency == 1e3 / (4 * 6.5)
     expected = mtf_terms(setup, result.irradiance, np.array(frequency))
     assert sensor_terms | display_terms == expected
-    result.irradiance.header.update({"scene": "csf.xml"})
-    assert detail_terms(setup, result.irradiance)[0] == pytest.approx(33.3, abs=0.05)
+    assert detail_terms(setup, chart_light())[0] == pytest.approx(33.3, abs=0.05)
 
 
 def test_mtf_terms_name_the_real_lens() -> None:
@@ -385,6 +385,12 @@ def test_mtf_terms_name_the_real_lens() -> None:
 def map_of(thresholds: list[float]) -> Array:
     """ΔE in proportion to contrast, that reaches ISO at a contrast in each frequency bin."""
     return ISO * CONTRAST / np.repeat(thresholds, COLUMNS // 6)[None, :]
+
+
+def chart_light() -> SpectralImage:
+    light = chen2000()[0].irradiance
+    light.header.update({"scene": "csf.xml"})
+    return light
 
 
 OVER_FREQUENCY = np.repeat(LOG_FREQUENCY, ROWS, axis=0)
@@ -443,6 +449,12 @@ MAP_CLAIMS = [
         np.full(6, 0.1 * np.exp(-0.5 * np.sqrt(np.log(2)))),
         rtol=ROW_RATIO - 1 + 0.005,
         why="a row late; smoothed by 4 rows, the Gaussian passes ½ 0.5 % nearer",
+    ),
+    Claim(
+        "a tenth of the width on both sides leaves the chart's frequencies from .1 to .9",
+        lambda: csf_range_lp_per_mm(chart_light(), (0.0, 100 * DIE_MM)) or (),
+        [(100 / 3) ** 0.1, (100 / 3) ** 0.9],
+        rtol=1e-9,
     ),
     Claim(
         "maps are the mean of eight sensors",

@@ -178,7 +178,7 @@ def test_study_row_depends_on_its_sensor_only(
 
 FLICKER = {"frames": 4, "flicker_hz": 100.0, "flicker_depth": 0.9, "integration_s": 0.012}
 COLOUR = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
-BURST = {
+BURST = WHOLE_CHART | {
     "exposure": FLICKER,
     "pixel": {"colour": COLOUR, "full_well_e": 700},
     "technologies": ("4t-bsi",),
@@ -197,7 +197,7 @@ def test_study_cached_frames_same_bytes(
     """
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     pitch = {"values_um": PITCHES_UM[1:]}
-    study = tiny(repeats=2, pitch=pitch, resolution=128, **WHOLE_CHART, **frames)
+    study = tiny(repeats=2, pitch=pitch, resolution=128, **frames)
     results = tmp_path / "out/results.csv"
 
     def bytes_of_rows() -> bytes:
