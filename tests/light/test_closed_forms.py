@@ -128,6 +128,12 @@ CLAIMS = [
         "efficiency is the observer's y", lambda: photopic_efficiency(NM), colour_matching(NM)[:, 1]
     ),
     Claim("no light beyond the tables", lambda: colour_matching([359.0, 831.0]), np.zeros((2, 3))),
+    Claim(
+        "opponents of X = Y = Z by the published matrix",
+        lambda: OPPONENT_FROM_XYZ @ np.ones(3),
+        [0.8939847, -0.0818111, -0.0029257],
+        atol=1e-9,
+    ),
     Claim("D65 is 100 at 560 nm", lambda: d65([359.0, 560.0, 831.0]), [0, 100, 0]),
     Claim("illuminant D65 is d65", lambda: illuminant("D65", NM), d65(NM)),
     *(

@@ -42,6 +42,7 @@ RGB = np.concatenate([gaussian_edge()] * 3)
 CALLS: list[tuple[str, Callable[[], object], str]] = [
     *((f"{bits} bits", lambda bits=bits: make_experiment(Pixel(bits=bits)), r"pixel\.bits: .*black level") for bits in (1, 2)),
     ("noise", lambda: make_experiment(Pixel(bits=12, read_noise_e=1e7)), r"pixel\.bits: .*black level"),
+    ("gain", lambda: make_experiment(Pixel(bits=12), Exposure(gain_db=60)), r"exposure\.gain_db: got 60"),
     ("infrared", lambda: make_experiment(Pixel(), wavelength_nm=900), "wavelength_nm: got 900"),
     ("a long time", lambda: make_experiment(Pixel(), Exposure(integration_s=1000)), r"integration_s: got 1000"),
     *((f"shape {shape}", lambda shape=shape: make_experiment(Pixel(), shape=shape), "shape: got") for shape in ((2, 2), (0, 5), (3, 2))),
@@ -57,6 +58,8 @@ CALLS: list[tuple[str, Callable[[], object], str]] = [
     ("upright", lambda: edge_response(gaussian_edge(0.0)), "from the rows or columns"),
     ("along rows", lambda: edge_response(gaussian_edge(90.4)), "columns, over"),
     ("small", lambda: edge_response(gaussian_edge()[:20]), "at least 24 a side"),
+    ("small mosaic", lambda: edge_response(gaussian_edge()[:40], layout="RG/GB", channel="G"), "for one channel of a mosaic"),
+    ("no green", lambda: edge_response(gaussian_edge(), channel="G"), "stands out as green"),
     ("three channels", lambda: edge_response(np.zeros((64, 64, 3))), "one channel of numbers"),
     ("denormal", lambda: edge_response(1e-310 * gaussian_edge()), "largest value of"),
     ("huge", lambda: edge_response(1e300 * gaussian_edge()), "largest value of"),

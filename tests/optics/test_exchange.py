@@ -48,25 +48,19 @@ def own_image(**header: object) -> SpectralImage:
     return SpectralImage(nm, 10.0, 1 / 3, factors=(light((2, 46)), light((2, 4, 5))), header=header)
 
 
-def test_pixsim_exr_is_bit_identical(tmp_path: Path) -> None:
+def test_files_read_back_bit_for_bit(tmp_path: Path) -> None:
     image = own_image(luminance_cd_per_m2=1000.0)
     pixsim.write_exr(tmp_path / "own.exr", image)
-    back = read_irradiance(tmp_path / "own.exr")
-    assert back.digest() == image.digest()
-
-
-def test_npz_reads_back_bit_for_bit(tmp_path: Path) -> None:
-    image = own_image(luminance_cd_per_m2=1000.0)
+    assert read_irradiance(tmp_path / "own.exr").digest() == image.digest()
     image.data.flat[:2] = 0.0, 1e-42
     pixsim.write_npz(tmp_path / "image.npz", image)
     back = read_irradiance(tmp_path / "image.npz")
     assert np.array_equal(bits(back.data), bits(image.data))
-    assert np.array_equal(back.wavelength_nm, image.wavelength_nm)
-    assert np.array_equal(back.band_width_nm, image.band_width_nm)
-    assert back.pitch_um == image.pitch_um
-    expected = {"source": "image.npz", "units": UNIT, "pixsim": pixsim.__version__}
-    assert back.header == expected | {"luminance_cd_per_m2": 1000.0}
-    assert [path.name for path in tmp_path.iterdir()] == ["image.npz"]
+    for field in ("wavelength_nm", "band_width_nm", "pitch_um"):
+        assert np.array_equal(getattr(back, field), getattr(image, field)), field
+    written = {"source": "image.npz", "units": UNIT, "pixsim": pixsim.__version__}
+    assert back.header == written | {"luminance_cd_per_m2": 1000.0}
+    assert {path.name for path in tmp_path.iterdir()} == {"own.exr", "image.npz"}
 
 
 @pytest.mark.parametrize(

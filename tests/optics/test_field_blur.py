@@ -341,14 +341,6 @@ def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(
         check("two films of one spectrum", blurred, alone, atol=1e-6, why="float32")
 
 
-def test_lateral_colour_moves_the_psf() -> None:
-    shifted = thin_lens_light(F_NUMBER, np.linspace(0, 0.4, 9), lambda u, v, t: 0 * u, 30.0)
-    kernel = point_spread(shifted, 0.0, 300.0, PITCH_UM, 65).kernel.astype(float)
-    rows = np.arange(65) - 32
-    mean_um = np.array([(kernel * rows[:, None]).sum(), (kernel * rows).sum()]) * PITCH_UM
-    check("centroid", mean_um / kernel.sum(), [9.0, 0.0], atol=0.09, why="tails beyond 65 cells")
-
-
 # Pictures
 
 

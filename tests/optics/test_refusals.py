@@ -480,6 +480,8 @@ CALLS: list[tuple[str, Callable[[], object], str]] = [
     ("cone", lambda: stack(f_number=0.9, chief_ray_deg=32.0), "pupil: .*1.016"),
     ("light beside", lambda: optics.stack.aperture_mtf(Stack(6.5, 3.5, 8.0, 1.5, False), disc_pupil(1e-9, 53.0), 1.0), "does not reach"),
     ("focus", lambda: Camera(focal_length_mm=50.0, object_distance_m=0.05), "focal_length_mm = 50 is not shorter"),
+    ("magnified", lambda: Camera(focal_length_mm=50.0, object_distance_m=0.05000000001), "magnifies"),
+    ("configuration", lambda: pixsim.load_lens(DATA / "telephoto.toml", configuration=2), "as every .toml file"),
     ("working f-number", lambda: Camera(f_number=0.45), "f_number = 0.45 is too small"),
     ("two fall-offs", lambda: Camera(fall_off=FALLS, chief_ray_angle=[(*row, 1.0) for row in ROWS]), "one of them"),
     ("window", lambda: Camera(die_mm=2.0).window(3.0), "window_mm: got 3"),
