@@ -43,7 +43,7 @@ def test_dimmer_light_is_that_of_its_render_with_the_film_of_the_brightest() -> 
     On so few dots the measured error scatters by factors: with a tenth of the tolerance in most
     light it stays within half of it.
     """
-    lights = lights_of(axis=[LIGHT], resolution=1024)
+    lights = lights_of(axis=[LIGHT], resolution=768)
     _, bright = lights["light 1000"]
     case, dim = lights["light 10"]
     expected = render_for(case)
