@@ -21,10 +21,7 @@ from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study
 
 PAGE = ROOT / "docs/first_change.md"
-TESTS = (
-    "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation"
-    " or in_the_help"
-)
+TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance"
 OF_METRICS = "viewer/test_score.py", "viewer/test_metrics.py", "studies/test_own_metrics.py"
 FILES = ("sensor/test_readout.py", "viewer/test_without_effect.py", *OF_METRICS)
 
