@@ -37,6 +37,7 @@ from pixsim.viewer.develop_steps import (
     noise_of_expected_e2,
     white_noise_e2,
 )
+from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
 from pixsim.viewer.screen import display_image
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.sharpening import noise_gain, unsharp_mask, unsharp_response
@@ -370,6 +371,26 @@ def test_covariance_behind_the_bound_is_that_of_frames(
         covariance += np.einsum("cyx,dyx->cd", planes, planes) / planes[0].size / 40
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(covariance / scale, expected / scale, atol=gate)
+
+
+def test_expected_spectrum_of_noise_is_that_of_every_pixel() -> None:
+    """Of sharpened pixels on dots, of each pixel, column and row by itself; to rounding."""
+    chain = chain_of({"sharpen_amount": 1.5}, pitch_um=16.0)
+    still = noiseless(chain)
+    white_e = chain.white_e_per_s * TIME_S
+    rows, columns = np.indices(chain.signal_e_per_s.shape)
+
+    def power(noise: np.ndarray) -> np.ndarray:
+        light = chain.development.light_before_tone(replace(still, corrected_e=noise * white_e))
+        return np.abs(np.fft.fft2(light)) ** 2 / light.size / DISPLAY.samples_per_deg**2
+
+    places = [(rows == y) & (columns == x) for y, x in np.ndindex(rows.shape)]
+    expected = 2.0 * sum(power(place) for place in places)
+    expected = expected + 0.5 * sum(power(columns == x) for x in range(len(columns[0])))
+    expected = expected + 3.0 * sum(power(rows == y) for y in range(len(rows)))
+    noise = RawNoise(pixel=np.full(rows.shape, 2.0), column=0.5, row=3.0)
+    spectrum = expected_noise_power(chain.development, noise)
+    np.testing.assert_allclose(spectrum, expected, rtol=1e-6, atol=1e-9 * expected.max())
 
 
 def test_noise_aware_matrix_uses_the_noise_that_linear_filters_leave() -> None:

@@ -204,6 +204,17 @@ CLAIMS = [
         [0, -3.32],
         atol=1e-9,
     ),
+    Claim(
+        "codes far from both ends have no table",
+        lambda: [
+            int(table is None)
+            for table in (
+                top_table(chain_of().expected(TIME_S), 15_000.0),
+                bottom_table(chain_of().expected(TIME_S), 0.0),
+            )
+        ],
+        [1, 1],
+    ),
     *(
         Claim(
             f"contrasts of targets end: {name}",
