@@ -8,7 +8,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from helpers.machine import changes, devices, files_below
+from helpers.machine import changes, files_below
 
 
 def test_home_and_temporary_files_are_of_the_run(own_places: tuple[Path, Path]) -> None:
@@ -42,14 +42,3 @@ def test_changes_name_each_file(tmp_path: Path) -> None:
         "written has changed",
     ]
     assert changes(before, files_below(tmp_path)) == expected
-
-
-def test_devices_are_seen() -> None:
-    """A file of the same name in place of a device, as a command that replaces its output would
-    leave it for root.
-    """
-    assert "null" in (before := devices())
-    assert changes(before, before | {"null": (0o100644, 0, 0, 0)}) == ["null has changed"]
-    assert devices(before.keys() - {"null"}) == {
-        name: found for name, found in before.items() if name != "null"
-    }

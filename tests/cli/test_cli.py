@@ -246,17 +246,6 @@ def test_run_json_equals_score_json(picture: Path) -> None:
     assert score["pitch_um"] == 8.0
 
 
-def test_run_ideal_png_decodes_to_luminance(picture: Path) -> None:
-    """8 bits with gamma 2.2 in display and PNG: half a code of rounding, a quarter for the error of
-    the render, 0.1 %.
-    """
-    png = imread(picture / "out/ideal.png")[:, :, :3]
-    assert png.shape == (126, 126, 3)
-    assert np.ptp(png, axis=2).max() == 0, "grey"
-    codes = 255 * expected_quadrants(128)[1:-1, 1:-1] ** (1 / 2.2)
-    assert np.abs(255.0 * png[:, :, 0] - codes)[away_from_edges(128)[1:-1, 1:-1]].max() < 0.75
-
-
 def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
     """Means over the middle of a quadrant, 2304 dots: noise and the curvature of gamma are below
     0.5 %.

@@ -13,11 +13,10 @@ from helpers.processes import HANG_S
 
 from pixsim.base import machine
 from pixsim.cli import doctor
-from pixsim.cli.doctor import NOTE, OK, PROBLEM, Diagnosis, doctor_document
+from pixsim.cli.doctor import NOTE, OK, PROBLEM
 from pixsim.optics.camera import Camera
 from pixsim.scene import trial
 from pixsim.scene.variants import graphics, variant
-from pixsim.show import render
 
 
 def written(root: Path, files: dict[str, str]) -> Path:
@@ -165,19 +164,3 @@ def test_variables_give_mark_and_fix(
 
 
 # --- The report ---
-
-
-def test_report_wraps_text_but_not_commands():
-    mend = "export A=" + "x" * 200
-    bad = Diagnosis("bad", PROBLEM, "word " * 60, mend)
-    findings = [Diagnosis("good", OK, "text"), bad, Diagnosis("c", NOTE, "-")]
-    lines = render.text(doctor_document(findings), 80).splitlines()
-    assert lines[0].split() == ["ok", "good", "text"]
-    assert lines[1].split()[:3] == ["problem", "bad", "word"]
-    assert any(line.strip() == f"to fix it: {mend}" for line in lines)
-    assert max(len(line) for line in lines if mend not in line) <= 80
-    assert lines[-1] == "pixsim does not work on this machine"
-    assert (
-        render.text(doctor_document(findings[::2])).splitlines()[-1]
-        == "renders work on this machine"
-    )

@@ -177,14 +177,3 @@ def test_reading_options_reach_the_camera(folder: Path) -> None:
     assert mine.focal_length_mm != model.focal_length_mm
     assert mine.lens_options.glass_catalogues == ("sub/my.agf",)
     assert "configuration" not in air.lens.model_dump()
-
-
-def test_notes_of_a_file_are_told_by_every_command() -> None:
-    note = (
-        "lens 'fixed': fixed semi-diameters of 2 surfaces stop no rays, since they are no apertures"
-    )
-    assert note in command(f"{PLAN} 1 --lens", FIXED)[2]  # though it is refused afterwards
-    code, out, err = command("lens", FIXED)
-    assert code == 0
-    assert note in err
-    assert f"\nnote: {note}; " in out
