@@ -33,6 +33,7 @@ from pixsim.sensor.mismatch import (
     prnu_of_area,
 )
 from pixsim.sensor.motion import (
+    ImageMotion,
     border_with_motion_um,
     motion_in_frame,
     motion_margin_um,
@@ -78,6 +79,7 @@ from pixsim.sensor.readout import (
 )
 from pixsim.sensor.saturation import (
     CLIP_REACH,
+    _node_counts,
     clipped_moments,
     full_well_for_e,
     level_moments,
@@ -164,6 +166,14 @@ SPREADS = [
 ]
 
 
+def charge_key(kelvin: float, **more: float) -> str:
+    stack = {"height_um": 3.0, "index": 1.5} | more
+    return pixel_035(temperature_k=kelvin, stack=stack).charge.content_hash
+
+
+CHARGES = [{}, {"depletion_um": 1.0, "diffusion_length_um": 20.0}]
+
+
 def diffusing(kelvin: float) -> float:
     """MTF of charge at 50 cy/mm and 850 nm."""
     stack = {
@@ -227,6 +237,11 @@ SILICON = [
             rtol=1e-12,
         )
         for kelvin in (300.15, 330.165)
+    ),
+    Claim(
+        "temperature changes the key of charge that diffuses, and of no other",
+        lambda: [charge_key(300.15, **more) == charge_key(330.0, **more) for more in CHARGES],
+        [1, 0],
     ),
     Claim(
         "charge of a square of two pixels that does not spread",
@@ -406,6 +421,11 @@ CODES = [
             why="the kink of the clip lies between two of 65 nodes",
         )
         for well_e in (500.0, 300_000.0)
+    ),
+    Claim(
+        "nodes of gains and offsets are no wider apart than the noise, 1000 in all, 37 and 19 or more",
+        lambda: [_node_counts(*sigmas) for sigmas in ((50.0, 0.0), (0.0, 30.0), (0.0, 1.0))],
+        [(500, 1), (37, round(300 * math.sqrt(1000 / (37 * 300)))), (37, 19)],
     ),
     Claim(
         "an ADC that clips first takes the place of the well",
@@ -1278,6 +1298,14 @@ CORRECTIONS = [
         rtol=1e-12,
     ),
     Claim(
+        "dark frames and dark rows measure the dark level, flat frames do not",
+        lambda: [
+            Correction(**{frames: 1}).removes_dark_level
+            for frames in ("dark_frames", "column_clamp", "flat_frames")
+        ],
+        [1, 1, 0],
+    ),
+    Claim(
         "a defect is the mean of its 8 neighbours, at a corner of 3, in a hole of the next ring",
         lambda: [
             without_defects(np.where(defects, 1e6, SQUARE), defects)[place]
@@ -1338,6 +1366,7 @@ MOTION = [
         [(1.0, 2.0, -1.0, -2.0), (1.0, 2.0, 0.0, 0.0), (1.0, 2.0, 1.0, 2.0)],
         atol=1e-14,
     ),
+    Claim("the longer axis", lambda: ImageMotion((-3.0, 2.0)).longest_um, 3.0),
     *(
         Claim(
             f"velocity on the sensor of {name}",

@@ -139,6 +139,7 @@ def test_each_channel_is_lit_by_its_own_spectrum() -> None:
 def test_raw_files_carry_the_layout(suffix: str, pattern: str, tmp_path: Path) -> None:
     sensor = make_sensor(physics(RGB | {"pattern": pattern}).pixel, CAMERA)
     frame = pixsim.capture(light(), CAMERA, sensor, rng=seeded(1))
+    assert frame.pixels == (25, 25)
     path = tmp_path / f"raw{suffix}"
     write_frame(path, frame)
     stored = read_frame(path)

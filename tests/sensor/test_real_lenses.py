@@ -139,7 +139,7 @@ def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
     """A point through a singlet as two channels see it, against the PSFs of all bands by the shares
     of each channel.
     """
-    nm = np.arange(420.0, 661.0, 40.0)
+    nm = np.arange(420.0, 661.0, 80.0)
     cells, pitch_um = 33, 12.0
     camera = camera_with_lens(
         Camera(die_mm=3.0, object_distance_m=5.0),
