@@ -19,6 +19,8 @@ from scipy.fft import dct
 import pixsim
 from pixsim import Camera, Correction, Develop, Display, Exposure, Pixel, SpectralImage
 from pixsim.optics import irradiance_factor
+from pixsim.sensor.correction import flat_light_e
+from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
@@ -230,6 +232,8 @@ WHITE_NOISE = np.random.default_rng(1).standard_normal((1000, 1000))
 COLOURS = np.random.default_rng(2).uniform(0.1, 3.0, (3, 5, 5))
 DARK_READOUT = Readout.of(derive(Pixel(**SHEET | {"dark_current_e_per_s": 3e4})))
 DARK_PIXEL_E2 = 36.0 + 1 / (12 * DARK_READOUT.dn_per_e**2)
+LINE_READOUT = Readout.of(derive(Pixel(**SHEET | {"column_fpn": 5e-4, "row_noise_e": 4.0})))
+FLAT_ONLY = Correction(flat_frames=8)
 REINHARD = Develop(tone_curve="reinhard")
 CLAIMS = [
     *(
@@ -272,6 +276,17 @@ CLAIMS = [
         "white noise of a frame less its dark frames and dark rows",
         lambda: white_noise_e2(DARK_READOUT, TIME_S, Correction(dark_frames=4, column_clamp=8)),
         (DARK_PIXEL_E2 + (DARK_PIXEL_E2 + 30.0) / 4) * (1 + 1 / 8),
+        rtol=1e-12,
+    ),
+    Claim(
+        "columns and rows of a picture at half of its flat frames, (1 - 1/2)² and 1 + (1/2)²/8",
+        lambda: noise_of_expected_e2(
+            np.full((4, 4), flat_light_e(LINE_READOUT, FLAT_ONLY, TIME_S) / 2),
+            LINE_READOUT,
+            TIME_S,
+            FLAT_ONLY,
+        )[1:],
+        (variance_e2(LINE_READOUT, is_temporal=False, along="column") / 4, 16.0 * (1 + 1 / 32)),
         rtol=1e-12,
     ),
     Claim(
