@@ -39,6 +39,9 @@ from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
 SHIPPED = Path(__file__).parents[2] / "scenes" / "charts"
 
 
+# --- Packaged charts ---
+
+
 @pytest.mark.parametrize("die_mm", [2.7136, 5.0])
 def test_csf_value_phase_derivative_is_frequency(die_mm):
     x = np.linspace(0, 1, 400_001)
@@ -65,7 +68,30 @@ def test_csf_contrast_and_luminance_match_paper():
     assert charts.csf_contrast(0.5) == pytest.approx(0.1 * 975 / 1025, rel=1e-12)
 
 
-# --- Other charts ---
+@pytest.mark.parametrize(("highest_lp_per_mm", "die_mm"), [(100.0, 5.0), (20.0, 36.0)])
+def test_csf_file_begins_at_2_7_cycles_and_ends_at_its_frequency(
+    highest_lp_per_mm, die_mm, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
+    path = charts.csf_file(highest_lp_per_mm, die_mm)
+    assert charts.csf_file(highest_lp_per_mm, die_mm) == path, "the same content has the same file"
+    assert list(tmp_path.rglob("*.exr")) == [path]
+    texels = next(iter(read_channels(path)[0].values())).astype(float)
+    width = texels.shape[1]
+    assert 8192 <= width <= 32768
+    assert width >= min(32 * highest_lp_per_mm * die_mm, 32768) - 1
+    wave = texels[-1] - 0.5125
+    before = np.flatnonzero(np.diff(np.sign(wave)))
+    zeros = (before + 0.5 + wave[before] / (wave[before] - wave[before + 1])) / width
+    x, frequency = (zeros[1:] + zeros[:-1]) / 2, 0.5 / np.diff(zeros) / die_mm
+    header = {"scene": "csf.xml", "parameters": {"max_lp_per_mm": repr(highest_lp_per_mm)}}
+    expected = charts.csf_frequency_on_sensor(header, die_mm)
+    assert expected([0.0, 1.0]) == pytest.approx([2.7136 / die_mm, highest_lp_per_mm], rel=1e-12)
+    # Half cycles from linear zeros of texels: 1 % where a cycle has 26 of them, and of curvature in
+    # the long first ones.
+    assert np.abs(frequency[3:] / expected(x[3:]) - 1).max() < 0.01
+
+
 def test_slanted_edge_is_5_degrees():
     texels = charts.slanted_edge(400, 400)
     # Where the edge crosses each row, from the row's dark area; coverage is counted in 8 × 8
@@ -93,7 +119,6 @@ def test_siemens_star_has_72_cycles():
     assert texels[512 + 10, 512 + 400] == pytest.approx(0.025)
 
 
-# --- Files and sizes ---
 SLOW_CHARTS = {"siemens_star": pytest.mark.slow}  # 64 points for each of a million texels
 
 
@@ -106,40 +131,29 @@ def test_packaged_textures_equal_make_chart(kind):
     np.testing.assert_array_equal(channels["Y"], charts.make_chart(kind))
 
 
-# --- A CSF chart with a highest frequency of its own ---
-@pytest.mark.parametrize(("highest_lp_per_mm", "die_mm"), [(100.0, 5.0), (20.0, 36.0)])
-def test_csf_file_begins_at_2_7_cycles_and_ends_at_its_frequency(
-    highest_lp_per_mm, die_mm, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
-    path = charts.csf_file(highest_lp_per_mm, die_mm)
-    assert charts.csf_file(highest_lp_per_mm, die_mm) == path, "the same content has the same file"
-    assert list(tmp_path.rglob("*.exr")) == [path]
-    texels = next(iter(read_channels(path)[0].values())).astype(float)
-    width = texels.shape[1]
-    assert 8192 <= width <= 32768
-    assert width >= min(32 * highest_lp_per_mm * die_mm, 32768) - 1
-    wave = texels[-1] - 0.5125
-    before = np.flatnonzero(np.diff(np.sign(wave)))
-    zeros = (before + 0.5 + wave[before] / (wave[before] - wave[before + 1])) / width
-    x, frequency = (zeros[1:] + zeros[:-1]) / 2, 0.5 / np.diff(zeros) / die_mm
-    header = {"scene": "csf.xml", "parameters": {"max_lp_per_mm": repr(highest_lp_per_mm)}}
-    expected = charts.csf_frequency_on_sensor(header, die_mm)
-    assert expected([0.0, 1.0]) == pytest.approx([2.7136 / die_mm, highest_lp_per_mm], rel=1e-12)
-    # Half cycles from linear zeros of texels: 1 % where a cycle has 26 of them, and of curvature in
-    # the long first ones.
-    assert np.abs(frequency[3:] / expected(x[3:]) - 1).max() < 0.01
+def test_texture_without_a_cache_is_temporary(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", "/dev/null/there")
+    path = charts.texture_file(["flat"], charts.flat)
+    np.testing.assert_array_equal(read_channels(path)[0]["Y"], charts.flat())
+
+
+# --- A picture of the user ---
 
 
 RGB = np.random.default_rng(1).integers(0, 65536, (20, 30, 3)).astype(np.uint16)
 
+
 EIGHT = (RGB >> 8).astype(np.uint8)
+
 
 OPAQUE = np.dstack([EIGHT, np.full((20, 30), 255, np.uint8)])
 
+
 LIGHT = (RGB / 6e4).astype(np.float32)
 
+
 PALETTE = np.array([[[0, 0, 0], [200, 30, 10]], [[255, 255, 255], [10, 200, 90]]], np.uint8)
+
 
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # Rec. ITU-R BT.709-6
 
@@ -206,6 +220,12 @@ def test_luminance_of_every_format(
         np.testing.assert_allclose(luminance, expected, rtol=1e-6, atol=error + 1e-9)
 
 
+def test_what_is_lost_of_a_picture_is_said(tmp_path: Path) -> None:
+    tiff(tmp_path / "deep.tif", RGB.astype("<u2"), 2)
+    with pytest.warns(UserWarning, match="is read with 8 of its 16 bits"):
+        read_luminance(tmp_path / "deep.tif")
+
+
 def test_a_turned_jpeg_is_upright(tmp_path: Path) -> None:
     # JPEG keeps uniform areas to a code, 2 %; a camera held upright writes the turn into its
     # metadata (EXIF 6: turn right).
@@ -231,9 +251,6 @@ def test_border_keeps_the_aspect_and_states_its_share(
     assert share == pytest.approx(1 - 600 / texels.size)
     assert ((texels == 1).sum(), (texels == np.float32(GREY)).sum()) == (600, texels.size - 600)
     np.testing.assert_array_equal(texels, texels[::-1, ::-1])  # centred
-
-
-# --- In a scene ---
 
 
 def write_picture(path: Path) -> Path:
@@ -272,6 +289,9 @@ def test_scene_hash_of_a_picture_depends_on_its_content_only(
         scene = load("csf", chart=path, chart_linear=folder == "c", resolution=32)
         hashes.append(scene.content_hash)
     assert hashes[0] == hashes[1] != hashes[2]
+
+
+# --- The CSF chart in colour ---
 
 
 RED_GREEN, BLUE_YELLOW = modulation(-XYZ_FROM_OPPONENT[:, 1]), modulation(XYZ_FROM_OPPONENT[:, 2])
@@ -344,15 +364,3 @@ def test_white_of_the_chart_is_that_of_its_lamps(written: Path) -> None:
     # Of a screen, by a lamp of intensity 1 through a slide of 1
     xyz = 683.002 * xyz_weights(image) @ image.white_spectrum / (math.pi * PROJECTOR_M**2)
     np.testing.assert_allclose(xyz, 1000 / 0.3290 * np.array([0.3127, 0.3290, 0.3583]), rtol=1e-3)
-
-
-def test_what_is_lost_of_a_picture_is_said(tmp_path: Path) -> None:
-    tiff(tmp_path / "deep.tif", RGB.astype("<u2"), 2)
-    with pytest.warns(UserWarning, match="is read with 8 of its 16 bits"):
-        read_luminance(tmp_path / "deep.tif")
-
-
-def test_texture_without_a_cache_is_temporary(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PIXSIM_CACHE_DIR", "/dev/null/there")
-    path = charts.texture_file(["flat"], charts.flat)
-    np.testing.assert_array_equal(read_channels(path)[0]["Y"], charts.flat())

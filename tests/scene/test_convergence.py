@@ -47,7 +47,9 @@ from pixsim.viewer.setting import Run
 
 PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
 
+
 LOOSE = 1e9  # the first pair is enough
+
 
 SHORT = pixsim.Exposure(integration_s=2e-3)
 
@@ -72,15 +74,22 @@ def until(
     return render_until(*prepared(name), pixels, exposure, seed, **options)
 
 
-@pytest.mark.parametrize("name", ["csf", "macbeth"])
-def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Where sums and pictures lie changes no bit of the light and its noise.
-    in_memory, noise = until(LOOSE, name=name)
-    monkeypatch.setattr(mapped, "MAX_MEMORY_BYTES", 0)
-    in_file, noise_in_file = until(LOOSE, name=name)
-    assert mapped.is_mapped(in_file.planes) > mapped.is_mapped(in_memory.planes)
-    np.testing.assert_array_equal(in_file.planes, in_memory.planes)
-    assert noise_in_file == noise
+def electrons_e(
+    image: pixsim.SpectralImage, pixel: pixsim.Pixel, exposure: pixsim.Exposure
+) -> np.ndarray:
+    physics = derive(pixel)
+    rate = ideal_rate(image, physics)
+    return exposure.integration_s * integrate_pixels(
+        rate, image.pitch_um, physics.pitch_um, physics.photodiode_side_um
+    )
+
+
+def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim.Exposure) -> Any:
+    """Return shot, dark, kTC, read and quantisation noise, squared."""
+    readout = Readout.of(derive(pixel))
+    dark_e = readout.dark_current_e_per_s * exposure.integration_s
+    floor_e2 = readout.physics.reset_noise_e**2 + readout.read_noise_e**2
+    return mean_e + dark_e + floor_e2 + 1 / (12 * readout.dn_per_e**2)
 
 
 class Noisy:
@@ -106,6 +115,21 @@ class Noisy:
         return [0.5 * (1 + noise)], spp
 
 
+# --- The reported noise is the real one ---
+
+
+def test_render_until_noise_matches_independent_renders() -> None:
+    # The RMS over 12 seeds; each side scatters by 3 to 5 % from set to set of noisy cells.
+    renders = [until(LOOSE, seed) for seed in range(12)]
+    electrons = np.array([electrons_e(image, PIXEL, SHORT) for image, _ in renders])
+    mean_e = electrons.mean(axis=0)
+    variance_e2 = electrons.var(axis=0, ddof=1)
+    noise = math.sqrt((variance_e2 / sensor_variance_e2(mean_e, PIXEL, SHORT)).mean())
+    relative = math.sqrt(variance_e2.mean() / (mean_e**2).mean())
+    reported = np.array([[result.fraction, result.relative] for _, result in renders])
+    assert np.sqrt((reported**2).mean(axis=0)) == pytest.approx([noise, relative], rel=0.2)
+
+
 def test_noise_of_known_noise_is_unbiased(monkeypatch: pytest.MonkeyPatch) -> None:
     # White noise with one pixel per cell: its fraction of sensor noise is σ_e/√(N V).
     renders = Noisy(monkeypatch, 0.1)
@@ -122,7 +146,27 @@ def test_noise_of_known_noise_is_unbiased(monkeypatch: pytest.MonkeyPatch) -> No
     assert max(renders.levels) > 1
 
 
+def test_render_until_worst_pixel_counts() -> None:
+    pixels = [pixsim.Pixel(pitch_um=10.6), derive(PIXEL)]
+    fractions = [until(LOOSE, pixels=[pixel])[1].fraction for pixel in pixels]
+    assert until(LOOSE, pixels=pixels)[1].fraction == max(fractions) > 1.05 * min(fractions)
+
+
+@pytest.mark.parametrize("shape", [(300, 300), (200, 301)])
+def test_measured_parts_are_a_sample_of_the_pixels(shape: tuple[int, int]) -> None:
+    assert measured_parts(shape, 1.0) == [(slice(0, shape[0]), slice(0, shape[1]))]
+    parts = measured_parts(shape, 20.0)
+    covered = np.zeros(shape)
+    for part in parts:
+        covered[part] += 1
+    assert len(parts) == 16
+    assert covered.max() == 1
+    assert covered.sum() * 20**2 == pytest.approx(convergence.MEASURED, rel=0.2)
+
+
 # --- When rendering ends ---
+
+
 def test_render_until_lower_target_renders_more(monkeypatch: pytest.MonkeyPatch) -> None:
     # Not much more than needed: noise² goes with 1/samples, and the last pair has at most four
     # times the samples before.
@@ -137,21 +181,6 @@ def test_render_until_lower_target_renders_more(monkeypatch: pytest.MonkeyPatch)
         spent.append(sum(4 * LEVEL_FACTOR**level for level in renders.levels))
         assert image.header["spp"] == spent[-1] < 8 * max(4, 2 * LEVEL_FACTOR) * factor**2
     assert spent == sorted(set(spent))
-
-
-def test_render_until_worst_pixel_counts() -> None:
-    pixels = [pixsim.Pixel(pitch_um=10.6), derive(PIXEL)]
-    fractions = [until(LOOSE, pixels=[pixel])[1].fraction for pixel in pixels]
-    assert until(LOOSE, pixels=pixels)[1].fraction == max(fractions) > 1.05 * min(fractions)
-
-
-# --- Header and score ---
-def test_render_until_equal_seeds_are_bit_identical() -> None:
-    target = until(LOOSE)[1].fraction / 2
-    (first, noise), (again, noise_again), (other, _) = (until(target, seed) for seed in (5, 5, 6))
-    np.testing.assert_array_equal(first.planes, again.planes)
-    assert noise == noise_again
-    assert not np.array_equal(first.planes, other.planes)
 
 
 @pytest.mark.parametrize("tolerance_delta_e", [10.0, 1.0, 0.1, None])
@@ -173,60 +202,15 @@ def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated
     assert noise.delta_e <= (tolerance_delta_e or math.inf)
 
 
-@pytest.mark.parametrize("ended_by", ["target", "max_seconds"])
-def test_repeatable_settings_state_what_the_limit_led_to(ended_by: str) -> None:
-    """Or rounding could ask for one more render."""
-    header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
-    image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
-    settings = Run(seed=4, max_seconds=7.0, tolerance_delta_e=0.1)
-    expected = {"max_seconds": NO_TIME_LIMIT_S, "resolution": 3}
-    if ended_by == "max_seconds":
-        expected |= {"render_noise": 0.5 * (1 + convergence.ROUNDING), "tolerance_delta_e": None}
-    repeatable = repeatable_settings(settings, image)
-    assert repeatable == settings.model_copy(update=expected)
-    assert repeatable_settings(Run(seed=4), image) == Run(seed=4)
-
-
-def electrons_e(
-    image: pixsim.SpectralImage, pixel: pixsim.Pixel, exposure: pixsim.Exposure
-) -> np.ndarray:
-    physics = derive(pixel)
-    rate = ideal_rate(image, physics)
-    return exposure.integration_s * integrate_pixels(
-        rate, image.pitch_um, physics.pitch_um, physics.photodiode_side_um
-    )
-
-
-def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim.Exposure) -> Any:
-    """Return shot, dark, kTC, read and quantisation noise, squared."""
-    readout = Readout.of(derive(pixel))
-    dark_e = readout.dark_current_e_per_s * exposure.integration_s
-    floor_e2 = readout.physics.reset_noise_e**2 + readout.read_noise_e**2
-    return mean_e + dark_e + floor_e2 + 1 / (12 * readout.dn_per_e**2)
-
-
-def test_render_until_noise_matches_independent_renders() -> None:
-    # The RMS over 12 seeds; each side scatters by 3 to 5 % from set to set of noisy cells.
-    renders = [until(LOOSE, seed) for seed in range(12)]
-    electrons = np.array([electrons_e(image, PIXEL, SHORT) for image, _ in renders])
-    mean_e = electrons.mean(axis=0)
-    variance_e2 = electrons.var(axis=0, ddof=1)
-    noise = math.sqrt((variance_e2 / sensor_variance_e2(mean_e, PIXEL, SHORT)).mean())
-    relative = math.sqrt(variance_e2.mean() / (mean_e**2).mean())
-    reported = np.array([[result.fraction, result.relative] for _, result in renders])
-    assert np.sqrt((reported**2).mean(axis=0)) == pytest.approx([noise, relative], rel=0.2)
-
-
-@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e-6])
-def test_renders_that_are_no_light_raise(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    import mitsuba
-
-    def broken(*_: Any, sensor: Any, **__: Any) -> np.ndarray:
-        return np.full((*sensor.film().crop_size(), 1), wrong)
-
-    monkeypatch.setattr(mitsuba, "render", broken)
-    with pytest.raises(pixsim.PixsimError, match="NaN, infinite or negative"):
-        until(0.2)
+def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one half 4 + 4 + 16 + 16 + 16 samples a cell: 64 do not fit into 70, nor another 16."""
+    renders = Noisy(monkeypatch, 0.1)
+    monkeypatch.setattr(film, "CHART_SAMPLES", 140 * 32 * 32)
+    monkeypatch.setattr(convergence.time, "monotonic", lambda: 1e9 * len(renders.levels))
+    with pytest.warns(UserWarning, match=r"limit of 140000 samples"):
+        noise = until(1e-6)[1]
+    assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1]
+    assert (noise.runs, noise.ended_by) == (10, "samples")
 
 
 def test_time_limit_ends_renders(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,11 +250,16 @@ def test_time_for_no_picture_raises() -> None:
     assert time.monotonic() - start_s < 10  # 1.5 s for the first pair, and the end of the process
 
 
-def test_picture_of_a_pair_is_the_mean_of_two_renders() -> None:
-    renderer = Renderer(*prepared("csf"), 0)
-    images = [renderer.image(*renderer.run(index)) for index in range(2)]
-    expected = sum(image.planes.astype(float) for image in images) / 2
-    np.testing.assert_allclose(until(LOOSE)[0].planes, expected, rtol=1e-6)
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e-6])
+def test_renders_that_are_no_light_raise(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    import mitsuba
+
+    def broken(*_: Any, sensor: Any, **__: Any) -> np.ndarray:
+        return np.full((*sensor.film().crop_size(), 1), wrong)
+
+    monkeypatch.setattr(mitsuba, "render", broken)
+    with pytest.raises(pixsim.PixsimError, match="NaN, infinite or negative"):
+        until(0.2)
 
 
 def test_progress_rises_and_says_the_noise() -> None:
@@ -285,27 +274,50 @@ def test_progress_rises_and_says_the_noise() -> None:
     assert float(notes[-1].split()[3]) > target
 
 
-def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one half 4 + 4 + 16 + 16 + 16 samples a cell: 64 do not fit into 70, nor another 16."""
-    renders = Noisy(monkeypatch, 0.1)
-    monkeypatch.setattr(film, "CHART_SAMPLES", 140 * 32 * 32)
-    monkeypatch.setattr(convergence.time, "monotonic", lambda: 1e9 * len(renders.levels))
-    with pytest.warns(UserWarning, match=r"limit of 140000 samples"):
-        noise = until(1e-6)[1]
-    assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1]
-    assert (noise.runs, noise.ended_by) == (10, "samples")
+# --- The picture ---
 
 
-@pytest.mark.parametrize("shape", [(300, 300), (200, 301)])
-def test_measured_parts_are_a_sample_of_the_pixels(shape: tuple[int, int]) -> None:
-    assert measured_parts(shape, 1.0) == [(slice(0, shape[0]), slice(0, shape[1]))]
-    parts = measured_parts(shape, 20.0)
-    covered = np.zeros(shape)
-    for part in parts:
-        covered[part] += 1
-    assert len(parts) == 16
-    assert covered.max() == 1
-    assert covered.sum() * 20**2 == pytest.approx(convergence.MEASURED, rel=0.2)
+def test_render_until_equal_seeds_are_bit_identical() -> None:
+    target = until(LOOSE)[1].fraction / 2
+    (first, noise), (again, noise_again), (other, _) = (until(target, seed) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.planes, again.planes)
+    assert noise == noise_again
+    assert not np.array_equal(first.planes, other.planes)
+
+
+def test_picture_of_a_pair_is_the_mean_of_two_renders() -> None:
+    renderer = Renderer(*prepared("csf"), 0)
+    images = [renderer.image(*renderer.run(index)) for index in range(2)]
+    expected = sum(image.planes.astype(float) for image in images) / 2
+    np.testing.assert_allclose(until(LOOSE)[0].planes, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["csf", "macbeth"])
+def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Where sums and pictures lie changes no bit of the light and its noise.
+    in_memory, noise = until(LOOSE, name=name)
+    monkeypatch.setattr(mapped, "MAX_MEMORY_BYTES", 0)
+    in_file, noise_in_file = until(LOOSE, name=name)
+    assert mapped.is_mapped(in_file.planes) > mapped.is_mapped(in_memory.planes)
+    np.testing.assert_array_equal(in_file.planes, in_memory.planes)
+    assert noise_in_file == noise
+
+
+@pytest.mark.parametrize("ended_by", ["target", "max_seconds"])
+def test_repeatable_settings_state_what_the_limit_led_to(ended_by: str) -> None:
+    """Or rounding could ask for one more render."""
+    header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
+    image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
+    settings = Run(seed=4, max_seconds=7.0, tolerance_delta_e=0.1)
+    expected = {"max_seconds": NO_TIME_LIMIT_S, "resolution": 3}
+    if ended_by == "max_seconds":
+        expected |= {"render_noise": 0.5 * (1 + convergence.ROUNDING), "tolerance_delta_e": None}
+    repeatable = repeatable_settings(settings, image)
+    assert repeatable == settings.model_copy(update=expected)
+    assert repeatable_settings(Run(seed=4), image) == Run(seed=4)
+
+
+# --- Cached renders ---
 
 
 # Two renders are enough.
@@ -317,7 +329,7 @@ TABLES = {
     "scene": {"spp": 4},
 }
 
-# --- Cached renders ---
+
 RUN = (
     f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100"
     " --pixel.pitch-um 84.8 --out"

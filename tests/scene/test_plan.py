@@ -41,6 +41,7 @@ from pixsim.viewer.display_options import Display
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 
+
 # Elsewhere: tests/references compares the pictures of csf, test_scenes the patches under smooth
 # lamps, flat has one luminance.
 CASES = {
@@ -48,10 +49,29 @@ CASES = {
     "macbeth laser": ("macbeth", {"lamp": "spectra/laser_532nm.spd"}),
 }
 
+
 # Samples and renders of the pruned and the full side, for a noise below 1 %
 SPP = (16, 4)
+
+
 RENDERS = (6, 5)
+
+
 FILM = 24
+
+
+# --- The bound ---
+
+
+def places(rate: np.ndarray, name: str) -> np.ndarray:
+    """Return the means of parts of a picture: of macbeth the centres of its 24 patches."""
+    if name != "macbeth":
+        return rate.reshape(4, FILM // 4, 4, FILM // 4).mean(axis=(1, 3)).ravel()
+    rows, columns = (
+        [slice(*np.rint((i + np.array([0.3, 0.7])) * FILM / n).astype(int)) for i in range(n)]
+        for n in (4, 6)
+    )
+    return np.array([rate[row, column].mean() for row in rows for column in columns])
 
 
 def sampled(case: str, full: bool) -> tuple[np.ndarray, float]:
@@ -68,20 +88,6 @@ def sampled(case: str, full: bool) -> tuple[np.ndarray, float]:
         rates = [places(ideal_rate(image, derive(pixel)), name) for pixel in PIXELS]
         renders.append(np.concatenate(rates))
     return np.array(renders), plan.bound_e
-
-
-BARE = pixsim.Pixel(pitch_um=10.0, stack={"height_um": 8.0, "index": 1.5, "shift": "optimal"})
-
-
-def places(rate: np.ndarray, name: str) -> np.ndarray:
-    """Return the means of parts of a picture: of macbeth the centres of its 24 patches."""
-    if name != "macbeth":
-        return rate.reshape(4, FILM // 4, 4, FILM // 4).mean(axis=(1, 3)).ravel()
-    rows, columns = (
-        [slice(*np.rint((i + np.array([0.3, 0.7])) * FILM / n).astype(int)) for i in range(n)]
-        for n in (4, 6)
-    )
-    return np.array([rate[row, column].mean() for row in rows for column in columns])
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -113,7 +119,7 @@ def test_bound_of_a_plan_is_within_its_tolerance(name: str) -> None:
     """A smaller one needs more passes and bands; the decisions have their bounds and reasons."""
     scene = load(name, resolution=64)
     counts = []
-    for tolerance_e in (1e-2, 1e-3, 1e-4):
+    for tolerance_e in (1e-2, 1e-4):
         plan = make_plan(scene, tolerance_e=tolerance_e)
         bounds_e = [line.bound_e for line in plan.decisions]
         assert (min(bounds_e), plan.warnings) == (0, ())
@@ -125,6 +131,13 @@ def test_bound_of_a_plan_is_within_its_tolerance(name: str) -> None:
     assert (counts[-1] > counts[0]) == (
         name in ("macbeth", "still_life", "line_lamp", "cornell_box", "yard")
     )
+
+
+def test_unreachable_tolerance_warns() -> None:
+    plan = make_plan(load("still_life"), tolerance_e=1e-6)
+    (note,) = plan.warnings
+    assert f"{plan.bound_e:.1e}" in note
+    assert plan.bound_e > 1e-6
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -139,11 +152,7 @@ def test_plan_as_a_dict_is_json_of_its_passes_and_bands(name: str, full: bool) -
     assert f"{passes} of {table['passes_full']} passes" in repr(plan)
 
 
-def test_unreachable_tolerance_warns() -> None:
-    plan = make_plan(load("still_life"), tolerance_e=1e-6)
-    (note,) = plan.warnings
-    assert f"{plan.bound_e:.1e}" in note
-    assert plan.bound_e > 1e-6
+# --- Decisions ---
 
 
 @pytest.mark.parametrize("focal_length_mm", [3.86, 2.0])
@@ -168,6 +177,9 @@ def test_coarse_film_of_a_flat_field_keeps_the_fall_off(focal_length_mm: float) 
 
 
 SLOW_LENS = pixsim.Camera(f_number=45.0)
+
+
+BARE = pixsim.Pixel(pitch_um=10.0, stack={"height_um": 8.0, "index": 1.5, "shift": "optimal"})
 
 
 @pytest.mark.parametrize(
@@ -206,6 +218,9 @@ def test_saturation_is_that_of_the_longest_exposure(exposure: pixsim.Exposure, w
     assert words in decision(plan, "saturation").reason
 
 
+# --- The film ---
+
+
 LANDSCAPE, PORTRAIT = Camera(die_height_mm=1.8), Camera(die_mm=1.8, die_height_mm=2.7136)
 
 
@@ -218,6 +233,32 @@ def chart_on(name: str, camera: Camera, width: int = 96) -> Array:
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
     picture = image.illuminance_lx() / field_factor(image.shape, image.pitch_um, *lens)
     return picture / picture.max()
+
+
+def test_film_has_the_shape_of_the_die(tmp_path: Path) -> None:
+    """Or that of the film in the XML, where the die has no height."""
+    scene = load("csf").with_resolution(96)
+    for camera in (LANDSCAPE, PORTRAIT):
+        rows = math.ceil(96 * camera.height_mm / camera.die_mm)
+        assert scene.film_shape(camera, scene.for_camera(camera)) == (rows, 96)
+
+    height = ('name="height" value="$resolution"', 'name="height" value="256"')
+    wide = load(edited(tmp_path, "csf", height))
+    assert wide.camera().die_height_mm == pytest.approx(wide.camera().die_mm / 4)
+    assert wide.film_shape(Camera(), wide.parse()) == (256, 1024)
+    assert wide.with_resolution(100).film_shape(Camera(), wide.parse()) == (25, 100)
+    square = wide.camera(CameraOptions(die_height_mm=2.7136))
+    assert wide.film_shape(square, wide.parse()) == (1024, 1024)
+
+
+@pytest.mark.parametrize("name", ["csf", "flat", "slanted_edge", "siemens_star"])
+def test_packaged_charts_fill_a_die_of_any_shape(name: str) -> None:
+    # Every border is lit: the darkest texel of the charts has 2.4 % of the brightest.
+    picture = chart_on(name, PORTRAIT)
+    for border in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+        assert border.min() > 0.02
+    chart = make_render_plan(load(name).with_resolution(96), PORTRAIT).film.chart
+    assert (chart is None) == (name == "siemens_star")  # its texture goes on beyond its border
 
 
 def test_siemens_star_is_round_and_whole() -> None:
@@ -255,32 +296,6 @@ def test_fitting_width_ends_within_one_pixel_of_die(columns: int, rows: int) -> 
         assert rows <= height / width * columns * (1 + 1e-9) < rows + 1
 
 
-def test_film_has_the_shape_of_the_die(tmp_path: Path) -> None:
-    """Or that of the film in the XML, where the die has no height."""
-    scene = load("csf").with_resolution(96)
-    for camera in (LANDSCAPE, PORTRAIT):
-        rows = math.ceil(96 * camera.height_mm / camera.die_mm)
-        assert scene.film_shape(camera, scene.for_camera(camera)) == (rows, 96)
-
-    height = ('name="height" value="$resolution"', 'name="height" value="256"')
-    wide = load(edited(tmp_path, "csf", height))
-    assert wide.camera().die_height_mm == pytest.approx(wide.camera().die_mm / 4)
-    assert wide.film_shape(Camera(), wide.parse()) == (256, 1024)
-    assert wide.with_resolution(100).film_shape(Camera(), wide.parse()) == (25, 100)
-    square = wide.camera(CameraOptions(die_height_mm=2.7136))
-    assert wide.film_shape(square, wide.parse()) == (1024, 1024)
-
-
-@pytest.mark.parametrize("name", ["csf", "flat", "slanted_edge", "siemens_star"])
-def test_packaged_charts_fill_a_die_of_any_shape(name: str) -> None:
-    # Every border is lit: the darkest texel of the charts has 2.4 % of the brightest.
-    picture = chart_on(name, PORTRAIT)
-    for border in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
-        assert border.min() > 0.02
-    chart = make_render_plan(load(name).with_resolution(96), PORTRAIT).film.chart
-    assert (chart is None) == (name == "siemens_star")  # its texture goes on beyond its border
-
-
 def test_display_refines_the_film_of_an_unknown_scene() -> None:
     """Two samples for each half dot; not where the film is stated, is finer, or there is no
     display.
@@ -301,6 +316,16 @@ def test_display_refines_the_film_of_an_unknown_scene() -> None:
         assert plan.film.resolution is None
 
 
+def test_film_of_paths_stays_within_the_samples() -> None:
+    # Two renders of the film that is chosen. It may be narrower by an eighth to end where the die
+    # ends, (8/9)² = 0.79, and its width is a multiple of 4.
+    camera = Camera(die_mm=10.0, die_height_mm=5.0)
+    plan = make_plan(load("still_life"), camera, Pixel(pitch_um=6.5), display=Display(dots=2048))
+    cells = plan.film.resolution**2 * 5.0 / 10
+    samples = 2 * cells * plan.samples.spp * plan.light.passes
+    assert 0.78 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES
+
+
 @pytest.mark.parametrize(
     ("width", "planes", "measured_gib"), [(512, 1, 0.41), (8192, 1, 1.31), (8192, 12, 1.68)]
 )
@@ -311,13 +336,3 @@ def test_memory_of_a_film_is_that_of_its_planes(
     gib = film_memory_bytes(width**2, planes) / (1 << 30)
     assert 0.9 * measured_gib < gib < 2.1 * measured_gib
     assert film_memory_bytes(width**2, 100 * planes) / (1 << 30) < gib + 1.1
-
-
-def test_film_of_paths_stays_within_the_samples() -> None:
-    # Two renders of the film that is chosen. It may be narrower by an eighth to end where the die
-    # ends, (8/9)² = 0.79, and its width is a multiple of 4.
-    camera = Camera(die_mm=10.0, die_height_mm=5.0)
-    plan = make_plan(load("still_life"), camera, Pixel(pitch_um=6.5), display=Display(dots=2048))
-    cells = plan.film.resolution**2 * 5.0 / 10
-    samples = 2 * cells * plan.samples.spp * plan.light.passes
-    assert 0.78 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES

@@ -21,20 +21,27 @@ from pixsim.scene.plan import Plan, make_plan, make_render_plan
 
 RULES = {"spectral rank", "bounces", "lens samples", "texture samples", "diffraction"}
 
+
 HALF, AWAY = 'x="$chart_half_width" y="$chart_half_height"', '<translate z="$focus_distance"/>'
+
 
 SIDE = 'x="$chart_half_side" y="$chart_half_side"'  # of the slanted edge
 
+
 PATH = '<integrator type="path"/>'
+
 
 DEPTH = '<integer name="max_depth" value="2"/>'
 
+
 RAW = '<boolean name="raw" value="true"/>'
+
 
 BSDF = (
     '<bsdf type="diffuse">\n            <spectrum name="reflectance"'
     ' filename="spectra/macbeth/24_black_2.spd"/>'
 )
+
 
 NEUTRAL_LAMP = '<spectrum name="{}" value="360:1, 830:1"/>'
 
@@ -55,14 +62,15 @@ def moved_chart(transform: str) -> tuple[str, str]:
     return AWAY, transform
 
 
-# --- Rules that do not apply ---
 ALONE, DETAIL, MATT = (
     {"spectral rank", "bounces"},
     {"texture samples", "diffraction"},
     {"bounces", "lens samples"},
 )
 
+
 FILM = '<translate z="$focus_distance"/>'
+
 
 NEAR, FOG, BEHIND = (
     '<scale value="0.05"/><translate z="0.8"/>',
@@ -70,19 +78,24 @@ NEAR, FOG, BEHIND = (
     '<translate z="-0.1"/>',
 )
 
+
 CONTROLLED_FIELDS = '<rotate y="1" angle="180"/><scale z="-1"/>'
 
+
 ENVIRONMENT = '<emitter type="envmap"><string name="filename" value="coloured.exr"/></emitter>'
+
 
 BOTH_SIDES = [
     (BSDF, f'<bsdf type="twosided">{BSDF}'),
     ("</bsdf>\n    </shape>\n</scene>", "</bsdf></bsdf></shape></scene>"),
 ]
 
+
 INSIDE = (
     '<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="albedo" value="0.9,'
     ' 0.2, 0.1"/></medium>'
 )
+
 
 SLIDE = (
     '<texture type="bitmap" name="texture"><string name="filename" value="coloured.exr"/></texture>'
@@ -206,6 +219,98 @@ def test_plan_rules_do_not_apply(name, folder):
         assert make_plan(load(folder / "flat.xml")).film.resolution is None
 
 
+# --- Rules that apply ---
+
+
+SPHERE = '<scale value="0.02"/><translate z="0.8"/>'
+
+
+LAMP = (
+    '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity"'
+    ' filename="{}"/></emitter>'
+)
+
+
+GLOSSY = shape("sphere", SPHERE, '<bsdf type="roughconductor"/>')
+
+
+PATH_1 = {"type": "path", "max_depth": 1}
+
+
+MATT_RULES = RULES - {"diffraction", "texture samples"}
+
+
+HIDDEN = f'{DEPTH}<boolean name="hide_emitters" value="true"/>'
+
+
+def with_depth(depth: int) -> tuple[str, str]:
+    return DEPTH, f'<integer name="max_depth" value="{depth}"/>'
+
+
+def with_integrator(integrator: str) -> tuple[str, str]:
+    return PATH, f'<integrator type="{integrator}"/>'
+
+
+def path_of_depth(depth: int) -> tuple[str, str]:
+    return PATH, f'<integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>'
+
+
+# name: (scene, edits, parameters and width of the film, what the plan has)
+APPLIED: dict[str, tuple[str, list[tuple[str, str]], dict[str, Any], dict[str, Any]]] = {
+    "a chart": ("slanted_edge", [], {}, {"left_out": MATT_RULES, "integrator": PATH_1, "lens": "perspective", "spp": 16}),
+    "a uniform chart": ("flat", [], {}, {"left_out": RULES, "resolution": 64, "spp": 4, "diffraction": False}),
+    "boards that face one way": ("macbeth", [], {}, {"left_out": MATT_RULES, "integrator": {"type": "direct"}, "bounded": True}),
+    "a disc": ("flat", [('type="rectangle"', 'type="disk"')], {}, {"left_out": MATT_RULES, "resolution": None}),
+    "one bounce": ("macbeth", [path_of_depth(2), GLOSSY], {}, {"integrator": {"type": "direct"}}),
+    "two bounces": ("macbeth", [path_of_depth(3), GLOSSY], {}, {"integrator": None}),
+    "one lamp spectrum": ("macbeth", [(END, LAMP.format("$lamp"))], {}, {"lamps": 1}),
+    "two lamp spectra": ("macbeth", [(END, LAMP.format("spectra/a.spd"))], {}, {"lamps": 2}),
+    **{
+        f"the scene's {plugin}": ("macbeth", [with_integrator(plugin)], {}, {"integrator": None})
+        for plugin in ("volpath", "direct")
+    },
+    "no light": ("csf", [with_depth(0)], {}, {"integrator": None}),
+    "lamps alone": ("csf", [with_depth(1)], {}, {"integrator": None}),
+    "any depth": ("csf", [with_depth(-1)], {}, {"integrator": PATH_1}),
+    "hidden emitters": ("csf", [(DEPTH, HIDDEN)], {}, {"integrator": PATH_1 | {"hide_emitters": True}}),
+    "stated samples": ("slanted_edge", [], {"spp": 9}, {"spp": 9, "full_spp": 9, "left_out": MATT_RULES}),
+    "a stated film": ("flat", [], {"resolution": 128}, {"resolution": None}),
+    "passes share samples": ("still_life", [], {}, {"spp": 16, "full_spp": 64, "sampler": "multijitter"}),
+    "stated samples of paths": ("still_life", [], {"spp": 8}, {"spp": 8}),
+    # With 4 samples multijitter would make paths up to 1 % too dark.
+    "few samples of paths": ("still_life", [('name="spp" value="64"', 'name="spp" value="4"')], {}, {"spp": 16}),
+    # On a finer film the samples on the die stay those of the scene, down to two a cell.
+    "a chart on its film": ("csf", [], {"width": 1024}, {"spp": 16, "sampler": "multijitter"}),
+    "a chart on a finer film": ("csf", [], {"width": 2048}, {"spp": 4, "sampler": "multijitter"}),
+    "a chart on the finest film": ("csf", [], {"width": 8192}, {"spp": 2, "sampler": "multijitter"}),
+    "stated samples on a finer film": ("csf", [], {"width": 4096, "spp": 16}, {"spp": 16}),
+    "paths on a finer film": ("still_life", [], {"width": 1024}, {"spp": 4, "sampler": "independent"}),
+    "an unknown surface": ("macbeth", [shape("sphere", SPHERE, '<bsdf type="principled"/>')], {}, {"bounded": False}),
+    "a coloured slide": (*KEPT["a spot with a coloured slide"][:2], {}, {"lamps": 2}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", APPLIED)
+def test_plan_rules_apply(name: str, folder: Path) -> None:
+    scene_name, edits, parameters, expected = APPLIED[name]
+    width = parameters.get("width")
+    stated = {key: value for key, value in parameters.items() if key != "width"}
+    scene = load(edited(folder, scene_name, *edits), **stated)
+    plan = make_plan(scene.with_resolution(width) if width else scene)
+    facts = vars(plan.samples) | vars(plan.film)
+    facts |= {"left_out": left_out(plan) & RULES, "lamps": len(plan.light.lamps)}
+    facts["bounded"] = plan.bounded
+    assert {key: facts[key] for key in expected} == expected
+
+
+@pytest.mark.parametrize("name", ["csf", "flat", "macbeth", "still_life"])
+def test_plan_full_leaves_out_nothing(name: str) -> None:
+    plan = make_plan(load(name), full=True)
+    assert left_out(plan) == set()
+    assert (plan.samples.lens, plan.samples.integrator) == ("thinlens", None)
+    assert (plan.samples.spp, plan.light.passes) == (plan.samples.full_spp, plan.light.full_passes)
+
+
 def test_plan_coloured_lamp_keeps_all_bands(folder: Path) -> None:
     """sRGB's red over its blue, 1 to 0.05, is spread over wavelengths by Mitsuba: 8 and more at
     these.
@@ -221,12 +326,22 @@ def test_plan_coloured_lamp_keeps_all_bands(folder: Path) -> None:
     assert (right / left)[(nm > 420) & (nm < 470)].min() > 5
 
 
-@pytest.mark.parametrize("name", ["csf", "flat", "macbeth", "still_life"])
-def test_plan_full_leaves_out_nothing(name: str) -> None:
-    plan = make_plan(load(name), full=True)
-    assert left_out(plan) == set()
-    assert (plan.samples.lens, plan.samples.integrator) == ("thinlens", None)
-    assert (plan.samples.spp, plan.light.passes) == (plan.samples.full_spp, plan.light.full_passes)
+# --- Focus ---
+
+
+@pytest.mark.parametrize(("times", "lens"), [(0.95, "perspective"), (1.05, "thinlens")])
+def test_blur_limit_scales_with_the_photodiode(times: float, lens: str, tmp_path: Path) -> None:
+    """2a |d - 1|/d · v/u in µm, solved for the distance, of a photodiode of 3.25 µm."""
+    pixel = pixsim.Pixel(pitch_um=6.5, fill_factor=0.25)
+    camera = pixsim.Camera()
+    allowed_e = times * rules.BLUR_SHARE * rules.TOLERANCE_E
+    blur_m = allowed_e / rules.BLURRED_EDGE * 3.25
+    depth_m = 1 / (1 - blur_m / (2e3 * camera.aperture_radius_m * camera.image_distance_mm))
+    moved = moved_chart(f'<translate z="{depth_m!r}"/>')
+    plan = make_render_plan(load(edited(tmp_path, "csf", moved, bigger(1.1))), pixel=pixel)
+    assert plan.samples.lens == lens
+    bound_e = allowed_e if lens == "perspective" else 0.0
+    assert decision(plan, "lens samples").bound_e == pytest.approx(bound_e, rel=1e-6)
 
 
 def test_render_unfocused_chart_is_blurred_by_disc(tmp_path: Path) -> None:
@@ -283,6 +398,12 @@ def test_chart_picture_is_cell_means(
         rows = map_coordinates(texels, places, order=order, mode=mode).mean(axis=0)
         expected = map_coordinates(rows, [across], order=order, mode=mode).mean()
         assert picture[cell] == pytest.approx(expected, rel=1e-6 if order else 2e-3), cell
+
+
+def test_chart_picture_part_equals_whole():
+    chart = rules.Chart(np.random.default_rng(3).uniform(0.1, 1, (40, 30)), (2.0, 1.5), (12, 16))
+    for part in (np.s_[3:9, 2:16], np.s_[:, 5:6], np.s_[0:1, :]):
+        np.testing.assert_allclose(chart.picture(part), chart.picture()[part], rtol=1e-12)
 
 
 # 256 stratified samples leave a noise of 3e-4, and three times as much in the worst of 1160 cells; of
@@ -359,104 +480,9 @@ def test_exact_cells_only_where_they_are_exact(
 
 
 # --- Diffraction ---
+
+
 NM = 550.0
-
-
-def test_chart_picture_part_equals_whole():
-    chart = rules.Chart(np.random.default_rng(3).uniform(0.1, 1, (40, 30)), (2.0, 1.5), (12, 16))
-    for part in (np.s_[3:9, 2:16], np.s_[:, 5:6], np.s_[0:1, :]):
-        np.testing.assert_allclose(chart.picture(part), chart.picture()[part], rtol=1e-12)
-
-
-SPHERE = '<scale value="0.02"/><translate z="0.8"/>'
-
-LAMP = (
-    '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity"'
-    ' filename="{}"/></emitter>'
-)
-
-GLOSSY = shape("sphere", SPHERE, '<bsdf type="roughconductor"/>')
-
-PATH_1 = {"type": "path", "max_depth": 1}
-
-MATT_RULES = RULES - {"diffraction", "texture samples"}
-
-HIDDEN = f'{DEPTH}<boolean name="hide_emitters" value="true"/>'
-
-
-def with_depth(depth: int) -> tuple[str, str]:
-    return DEPTH, f'<integer name="max_depth" value="{depth}"/>'
-
-
-def with_integrator(integrator: str) -> tuple[str, str]:
-    return PATH, f'<integrator type="{integrator}"/>'
-
-
-def path_of_depth(depth: int) -> tuple[str, str]:
-    return PATH, f'<integrator type="path"><integer name="max_depth" value="{depth}"/></integrator>'
-
-
-# name: (scene, edits, parameters and width of the film, what the plan has)
-APPLIED: dict[str, tuple[str, list[tuple[str, str]], dict[str, Any], dict[str, Any]]] = {
-    "a chart": ("slanted_edge", [], {}, {"left_out": MATT_RULES, "integrator": PATH_1, "lens": "perspective", "spp": 16}),
-    "a uniform chart": ("flat", [], {}, {"left_out": RULES, "resolution": 64, "spp": 4, "diffraction": False}),
-    "boards that face one way": ("macbeth", [], {}, {"left_out": MATT_RULES, "integrator": {"type": "direct"}, "bounded": True}),
-    "a disc": ("flat", [('type="rectangle"', 'type="disk"')], {}, {"left_out": MATT_RULES, "resolution": None}),
-    "one bounce": ("macbeth", [path_of_depth(2), GLOSSY], {}, {"integrator": {"type": "direct"}}),
-    "two bounces": ("macbeth", [path_of_depth(3), GLOSSY], {}, {"integrator": None}),
-    "one lamp spectrum": ("macbeth", [(END, LAMP.format("$lamp"))], {}, {"lamps": 1}),
-    "two lamp spectra": ("macbeth", [(END, LAMP.format("spectra/a.spd"))], {}, {"lamps": 2}),
-    **{
-        f"the scene's {plugin}": ("macbeth", [with_integrator(plugin)], {}, {"integrator": None})
-        for plugin in ("volpath", "direct")
-    },
-    "no light": ("csf", [with_depth(0)], {}, {"integrator": None}),
-    "lamps alone": ("csf", [with_depth(1)], {}, {"integrator": None}),
-    "any depth": ("csf", [with_depth(-1)], {}, {"integrator": PATH_1}),
-    "hidden emitters": ("csf", [(DEPTH, HIDDEN)], {}, {"integrator": PATH_1 | {"hide_emitters": True}}),
-    "stated samples": ("slanted_edge", [], {"spp": 9}, {"spp": 9, "full_spp": 9, "left_out": MATT_RULES}),
-    "a stated film": ("flat", [], {"resolution": 128}, {"resolution": None}),
-    "passes share samples": ("still_life", [], {}, {"spp": 16, "full_spp": 64, "sampler": "multijitter"}),
-    "stated samples of paths": ("still_life", [], {"spp": 8}, {"spp": 8}),
-    # With 4 samples multijitter would make paths up to 1 % too dark.
-    "few samples of paths": ("still_life", [('name="spp" value="64"', 'name="spp" value="4"')], {}, {"spp": 16}),
-    # On a finer film the samples on the die stay those of the scene, down to two a cell.
-    "a chart on its film": ("csf", [], {"width": 1024}, {"spp": 16, "sampler": "multijitter"}),
-    "a chart on a finer film": ("csf", [], {"width": 2048}, {"spp": 4, "sampler": "multijitter"}),
-    "a chart on the finest film": ("csf", [], {"width": 8192}, {"spp": 2, "sampler": "multijitter"}),
-    "stated samples on a finer film": ("csf", [], {"width": 4096, "spp": 16}, {"spp": 16}),
-    "paths on a finer film": ("still_life", [], {"width": 1024}, {"spp": 4, "sampler": "independent"}),
-    "an unknown surface": ("macbeth", [shape("sphere", SPHERE, '<bsdf type="principled"/>')], {}, {"bounded": False}),
-    "a coloured slide": (*KEPT["a spot with a coloured slide"][:2], {}, {"lamps": 2}),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", APPLIED)
-def test_plan_rules_apply(name: str, folder: Path) -> None:
-    scene_name, edits, parameters, expected = APPLIED[name]
-    width = parameters.get("width")
-    stated = {key: value for key, value in parameters.items() if key != "width"}
-    scene = load(edited(folder, scene_name, *edits), **stated)
-    plan = make_plan(scene.with_resolution(width) if width else scene)
-    facts = vars(plan.samples) | vars(plan.film)
-    facts |= {"left_out": left_out(plan) & RULES, "lamps": len(plan.light.lamps)}
-    facts["bounded"] = plan.bounded
-    assert {key: facts[key] for key in expected} == expected
-
-
-@pytest.mark.parametrize(("times", "lens"), [(0.95, "perspective"), (1.05, "thinlens")])
-def test_blur_limit_scales_with_the_photodiode(times: float, lens: str, tmp_path: Path) -> None:
-    """2a |d - 1|/d · v/u in µm, solved for the distance, of a photodiode of 3.25 µm."""
-    pixel = pixsim.Pixel(pitch_um=6.5, fill_factor=0.25)
-    camera = pixsim.Camera()
-    allowed_e = times * rules.BLUR_SHARE * rules.TOLERANCE_E
-    blur_m = allowed_e / rules.BLURRED_EDGE * 3.25
-    depth_m = 1 / (1 - blur_m / (2e3 * camera.aperture_radius_m * camera.image_distance_mm))
-    moved = moved_chart(f'<translate z="{depth_m!r}"/>')
-    plan = make_render_plan(load(edited(tmp_path, "csf", moved, bigger(1.1))), pixel=pixel)
-    assert plan.samples.lens == lens
-    bound_e = allowed_e if lens == "perspective" else 0.0
-    assert decision(plan, "lens samples").bound_e == pytest.approx(bound_e, rel=1e-6)
 
 
 @pytest.mark.parametrize("contrast", [0.01, 0.5])

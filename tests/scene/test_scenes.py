@@ -26,21 +26,29 @@ from pixsim.sensor.pixel_options import Pixel
 
 SCENES = ["cornell_box", "line_lamp", "macbeth", "still_life"]
 
+
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
+
 
 COS_45 = 0.5**0.5
 
+
 WHITE_CD_PER_M2 = 1000.0
+
 
 SIZE = 64
 
+
 SEED = 1
 
+
 FINE_NM = np.arange(360.0, 830.01, 0.05)
+
 
 # Four pulses, triangles 2 nm wide at half height: Mitsuba carries four wavelengths a ray and puts
 # one in each, so that colours have no noise.
 LINES_NM = np.array([450.0, 530.0, 610.0, 690.0])
+
 
 PULSE_NM = 2.0
 
@@ -230,6 +238,13 @@ def copied(folder: Path, scene: str) -> Edited:
     return Edited(path, {})
 
 
+def with_step(name: str, folder: Path) -> Edited:
+    """Return a scene with a step of its README applied."""
+    step = STEPS[name]
+    scene = copied(folder, step.scene)._replace(parameters=step.parameters)
+    return scene.replace(step.before, step.after) if step.before else scene
+
+
 @pytest.fixture
 def step(request: pytest.FixtureRequest, tmp_path: Path) -> Edited:
     """Apply the step that the test's name names."""
@@ -262,6 +277,7 @@ PLACES_OF_LUX = {
     "still_life": ((0, 1e-4, -0.03), (0, 0.01, -0.035), 'x="1" angle="-90"'),
     "cornell_box": ((0, -0.2999, 1.1), (0, -0.28, 1.095), 'x="1" angle="-90"'),
 }
+
 
 ON_CHART = ((0, 0, 1 - 1e-4), (0, 0, 0.9), 'y="1" angle="180"')
 
@@ -315,6 +331,7 @@ def test_packaged_lamps_match_standards(name: str) -> None:
 # ASTM G173-03, global, W m⁻² nm⁻¹, as pvlib's documentation prints it, and a black body
 RANGE_NM = np.array([500.0, 800.0, 1100.0])
 
+
 TO_1100_NM = {
     "sunlight": np.array([1.5451, 1.0725, 0.48577]),
     "halogen": RANGE_NM**-5.0 / np.expm1(1.438776877e7 / (3200 * RANGE_NM)),
@@ -347,7 +364,7 @@ def test_materials_of_yard_say_what_they_are_to_1100_nm(lamp: str) -> None:
     assert not [note for note in plan.warnings if "reflectance" in note]
 
 
-# --- macbeth ---
+# --- macbeth and line_lamp ---
 
 
 def test_macbeth_patches_match_tables() -> None:
@@ -360,8 +377,8 @@ def test_macbeth_patches_match_tables() -> None:
         np.testing.assert_allclose(light, expected, rtol=2e-3, err_msg=name)
 
 
-# --- line_lamp ---
 WHITE = np.s_[51:61, 51:61]
+
 
 CORNERS = {(0, 0): 1.0, (0, 1): 0.6, (1, 0): 0.3, (1, 1): 0.1}
 
@@ -384,6 +401,45 @@ def test_line_lamp_chart_is_upright_and_neutral(tmp_path: Path) -> None:
 
 
 # --- The edits ---
+
+
+def around(row: float, column: float, half: float = 0.02) -> tuple[slice, slice]:
+    """Return rows and columns of a square; place and half side are fractions of the picture."""
+    rows, columns = (
+        slice(round((place - half) * SIZE), round((place + half) * SIZE) + 1)
+        for place in (row, column)
+    )
+    return rows, columns
+
+
+A_OVER_D65 = in_pulses("a") / in_pulses("d65")
+
+
+# step: (where, radiance over radiance before, relative or absolute tolerance)
+RATIOS: dict[str, list[tuple[Any, ArrayLike, float]]] = {
+    # Of patches, as test_macbeth_patches_match_tables has them
+    "another_lamp": [(patch(6), A_OVER_D65, 2e-3), (patch(12), A_OVER_D65, 2e-3)],
+    "another_reflectance": [
+        (patch(0), np.array([0.1, 0.1, 0.8, 0.8]) / in_pulses(PATCHES[0]), 2e-3),
+        (patch(1), 1, 1e-5),
+    ],
+    # The same rays: only the digits of the two spectra differ.
+    "stronger_lamp": [(np.s_[:, :], 2, 2e-4)],
+    # Reflectances at normal incidence, silver to gold: .97/.39 at 450 nm, .98/.97 at 690 nm
+    # (Johnson and Christy, 1972)
+    "another_metal": [((*around(0.29, 0.73, 0.05), [0, 3]), [2.5, 1.0], 0.15)],
+    # Black glass; the wall has 121 pixels with noise of 1.5 %.
+    "another_material": [(around(0.53, 0.66), 0, 0.0), (around(0.10, 0.85, 0.08), 1, 0.06)],
+}
+
+
+@pytest.mark.parametrize("name", RATIOS)
+def test_radiance_after_a_step_over_that_before(name: str, tmp_path: Path) -> None:
+    after = with_step(name, tmp_path).radiance
+    before = packaged(STEPS[name].scene)
+    for place, expected, tolerance in RATIOS[name]:
+        ratio = after[place].mean(axis=(0, 1)) / before[place].mean(axis=(0, 1))
+        np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=tolerance)
 
 
 def test_step_another_chart(step: Edited) -> None:
@@ -449,9 +505,13 @@ def test_step_another_instance(step: Edited) -> None:
 
 
 # --- Focus ---
+
+
 SUN_M, PAWN_M = 0.1393, 0.0701  # of the sun and the stem of the front pawn, along the camera's axis
 
+
 LENS = {"focus_distance": 0.1, "aperture_radius": 0.000689285714}
+
 
 HALF_FIELD = np.tan(np.radians(37.34378) / 2)
 
@@ -490,6 +550,7 @@ def expected_blur_px(distance_m: float, focus_distance: float, aperture_radius: 
 
 SUN_EDGE, PAWN_EDGE = (0.115, 0.303), (0.785, 0.218)
 
+
 # 2000 samples a column: from 6 seeds the fit scatters by 2 to 3 %. The sun's rim bends by .15
 # pixel, the pawn is round.
 BLUR_GATE = 0.12
@@ -514,48 +575,3 @@ def test_step_another_focus(step: Edited) -> None:
 def test_step_wider_aperture(step: Edited) -> None:
     blur = blur_px(step.path, *SUN_EDGE, **step.parameters)
     assert blur == pytest.approx(2.8 * expected_blur_px(SUN_M, **LENS), rel=BLUR_GATE)
-
-
-def with_step(name: str, folder: Path) -> Edited:
-    """Return a scene with a step of its README applied."""
-    step = STEPS[name]
-    scene = copied(folder, step.scene)._replace(parameters=step.parameters)
-    return scene.replace(step.before, step.after) if step.before else scene
-
-
-def around(row: float, column: float, half: float = 0.02) -> tuple[slice, slice]:
-    """Return rows and columns of a square; place and half side are fractions of the picture."""
-    rows, columns = (
-        slice(round((place - half) * SIZE), round((place + half) * SIZE) + 1)
-        for place in (row, column)
-    )
-    return rows, columns
-
-
-A_OVER_D65 = in_pulses("a") / in_pulses("d65")
-
-# step: (where, radiance over radiance before, relative or absolute tolerance)
-RATIOS: dict[str, list[tuple[Any, ArrayLike, float]]] = {
-    # Of patches, as test_macbeth_patches_match_tables has them
-    "another_lamp": [(patch(6), A_OVER_D65, 2e-3), (patch(12), A_OVER_D65, 2e-3)],
-    "another_reflectance": [
-        (patch(0), np.array([0.1, 0.1, 0.8, 0.8]) / in_pulses(PATCHES[0]), 2e-3),
-        (patch(1), 1, 1e-5),
-    ],
-    # The same rays: only the digits of the two spectra differ.
-    "stronger_lamp": [(np.s_[:, :], 2, 2e-4)],
-    # Reflectances at normal incidence, silver to gold: .97/.39 at 450 nm, .98/.97 at 690 nm
-    # (Johnson and Christy, 1972)
-    "another_metal": [((*around(0.29, 0.73, 0.05), [0, 3]), [2.5, 1.0], 0.15)],
-    # Black glass; the wall has 121 pixels with noise of 1.5 %.
-    "another_material": [(around(0.53, 0.66), 0, 0.0), (around(0.10, 0.85, 0.08), 1, 0.06)],
-}
-
-
-@pytest.mark.parametrize("name", RATIOS)
-def test_radiance_after_a_step_over_that_before(name: str, tmp_path: Path) -> None:
-    after = with_step(name, tmp_path).radiance
-    before = packaged(STEPS[name].scene)
-    for place, expected, tolerance in RATIOS[name]:
-        ratio = after[place].mean(axis=(0, 1)) / before[place].mean(axis=(0, 1))
-        np.testing.assert_allclose(ratio, np.broadcast_to(expected, ratio.shape), rtol=tolerance)

@@ -76,9 +76,6 @@ def test_disc_cover_of_each_cell():
     np.testing.assert_allclose(disc_cover(rows, columns, radius), expected, atol=1e-6)
 
 
-# --- Where it is ---
-
-
 def test_target_is_centred_and_signed() -> None:
     for film in (FILM, FILM - 1):
         light_lx = difference(film, size_um=7.3 * SAMPLE_UM, contrast=0.5)

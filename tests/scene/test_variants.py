@@ -64,6 +64,9 @@ def fresh(monkeypatch):
     variant.choose.cache_clear()
 
 
+# --- LLVM ---
+
+
 def fake_llvm(folder: Path, major: int) -> str:
     """Build a library that reports this version of LLVM."""
     if shutil.which("cc") is None:
@@ -80,19 +83,6 @@ def fake_llvm(folder: Path, major: int) -> str:
         check=True,
     )
     return str(library)
-
-
-# --- Automatic choice ---
-RENDER = """
-import sys
-import pixsim
-scene = pixsim.load_scene("flat", resolution=8, spp=4)
-assert pixsim.render(scene).illuminance_lx().max() > 0
-print(scene.choice.variant)
-print(scene.choice.llvm_path)
-if sys.platform == "linux":
-    print({line.split()[-1] for line in open("/proc/self/maps") if "libLLVM" in line})
-"""
 
 
 def test_libraries_have_a_version_or_none(tmp_path: Path) -> None:
@@ -161,6 +151,18 @@ def test_unusable_library_of_the_user_is_refused(
         pixsim.load_scene("flat")
 
 
+RENDER = """
+import sys
+import pixsim
+scene = pixsim.load_scene("flat", resolution=8, spp=4)
+assert pixsim.render(scene).illuminance_lx().max() > 0
+print(scene.choice.variant)
+print(scene.choice.llvm_path)
+if sys.platform == "linux":
+    print({line.split()[-1] for line in open("/proc/self/maps") if "libLLVM" in line})
+"""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc/self/maps")
 @pytest.mark.skipif(not wheel_installed(), reason=f"{variant.LLVM_WHEEL} is not installed")
 def test_chosen_llvm_is_the_one_that_works() -> None:
@@ -194,6 +196,41 @@ def test_llvm_after_drjit_is_taken_or_refused(fresh: pytest.MonkeyPatch) -> None
         variant.choose("llvm_ad_spectral")
 
 
+# --- A machine without a card ---
+
+
+PROCESSORS = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
+
+
+@pytest.fixture
+def with_llvm(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(variant, "_for_processors", lambda _: (PROCESSORS, ""))
+
+
+@pytest.mark.usefixtures("with_llvm")
+def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
+    """No process, and no library: what is left are two looks at the file system."""
+    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
+    fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
+    fresh.setattr(graphics.ctypes, "CDLL", lambda _: pytest.fail("loaded a library"))
+    assert graphics.graphics_trial() == graphics.GraphicsTrial(graphics.NO_CARD, tried=False)
+    assert variant.choose() == replace(
+        PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}"
+    )
+
+
+def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A device without its library, as in containers that get the devices alone."""
+    (tmp_path / "nvidiactl").touch()
+    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
+    fresh.setattr(graphics, "trial_render", lambda *_, **__: pytest.fail("started a process"))
+    fresh.setenv(graphics.DRIVER_VARIABLE, "nowhere.so")
+    assert "cannot be loaded (nowhere.so)" in str(graphics.graphics_trial().fault)
+
+
+# --- A driver ---
+
+
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""
 #include <signal.h>
@@ -217,8 +254,6 @@ int cuDeviceGetAttribute(int *value, int attribute, int device) {
 }
 int cuDeviceTotalMem_v2(size_t *bytes, int device) { *bytes = (size_t) of("FAKE_GIB", 8) << 30; return 0; }
 """
-
-PICTURE, DIES = Trial(None, 5.0), Trial("dies of signal 6 (SIGABRT)", 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -254,51 +289,6 @@ def driver(library: str, monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     return monkeypatch
 
 
-class Machine:
-    """A machine with a card, whose trials the test decides; it counts them."""
-
-    def __init__(self, folder: Path, library: str, patch: pytest.MonkeyPatch) -> None:
-        self.picture, self.tries, self.patch = PICTURE, 0, patch
-        (folder / "nvidiactl").touch()
-        patch.setenv("PIXSIM_CACHE_DIR", str(folder / "cache"))
-        patch.setenv(graphics.DRIVER_VARIABLE, library)
-        patch.setattr(graphics, "NODES", (str(folder / "nvidiactl"),))
-        patch.setattr(graphics, "trial_render", self.trial_render)
-
-    def trial_render(self, name: str, *, limit_s: float) -> Trial:
-        self.tries += 1
-        assert name == "cuda_ad_spectral"
-        assert 0 < limit_s < 600
-        return self.picture
-
-
-@pytest.fixture
-def machine(tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch) -> Machine:
-    return Machine(tmp_path, library, monkeypatch)
-
-
-PROCESSORS = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
-
-
-@pytest.fixture
-def with_llvm(fresh: pytest.MonkeyPatch) -> None:
-    fresh.setattr(variant, "_for_processors", lambda _: (PROCESSORS, ""))
-
-
-# --- A machine without a card ---
-@pytest.mark.usefixtures("with_llvm")
-def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
-    """No process, and no library: what is left are two looks at the file system."""
-    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
-    fresh.setattr(graphics.ctypes, "CDLL", lambda _: pytest.fail("loaded a library"))
-    assert graphics.graphics_trial() == graphics.GraphicsTrial(graphics.NO_CARD, tried=False)
-    assert variant.choose() == replace(
-        PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}"
-    )
-
-
-# --- The process that starts the driver ---
 START = {
     "drjit": "import drjit",
     "pixsim": (
@@ -335,6 +325,49 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
         ChildTracer(job, lambda: time.monotonic() + HANG_S).sample_count("independent", 4)
 
 
+# --- The trial and the choice ---
+
+
+PICTURE, DIES = Trial(None, 5.0), Trial("dies of signal 6 (SIGABRT)", 1.0)
+
+
+class Machine:
+    """A machine with a card, whose trials the test decides; it counts them."""
+
+    def __init__(self, folder: Path, library: str, patch: pytest.MonkeyPatch) -> None:
+        self.picture, self.tries, self.patch = PICTURE, 0, patch
+        (folder / "nvidiactl").touch()
+        patch.setenv("PIXSIM_CACHE_DIR", str(folder / "cache"))
+        patch.setenv(graphics.DRIVER_VARIABLE, library)
+        patch.setattr(graphics, "NODES", (str(folder / "nvidiactl"),))
+        patch.setattr(graphics, "trial_render", self.trial_render)
+
+    def trial_render(self, name: str, *, limit_s: float) -> Trial:
+        self.tries += 1
+        assert name == "cuda_ad_spectral"
+        assert 0 < limit_s < 600
+        return self.picture
+
+
+@pytest.fixture
+def machine(tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(tmp_path, library, monkeypatch)
+
+
+@pytest.mark.parametrize(("picture", "fault"), [(PICTURE, "None"), (DIES, "dies of signal 6")])
+def test_trial_is_taken_once(picture: Trial, fault: str, machine: Machine) -> None:
+    """Its result holds, whatever a second trial would find; the doctor takes a second one."""
+    machine.picture = picture
+    with pytest.warns(UserWarning, match="the graphics card"):
+        first = graphics.graphics_trial()
+    assert fault in str(first.fault)
+    machine.picture = PICTURE
+    assert graphics.graphics_trial() == first
+    assert machine.tries == 1
+    assert graphics.graphics_trial(again=True).fault is None
+    assert machine.tries == 2
+
+
 @pytest.mark.parametrize(
     ("name", "value"), [("PIXSIM_CACHE_GIB", "0"), ("PIXSIM_CACHE_DIR", "/dev/null/there")]
 )
@@ -346,7 +379,6 @@ def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str)
     assert graphics.graphics_trial(again=True).fault is None
 
 
-# --- The choice ---
 @pytest.mark.usefixtures("machine", "with_llvm")
 def test_choose_prefers_card_and_reads_on_processors() -> None:
     with pytest.warns(UserWarning, match="passed"):
@@ -354,6 +386,9 @@ def test_choose_prefers_card_and_reads_on_processors() -> None:
     assert (chosen.variant, chosen.processors) == ("cuda_ad_spectral", PROCESSORS)
     assert chosen.reading == variant.choose("cuda_ad_spectral").reading == "llvm_ad_spectral"
     assert variant.choose("llvm_ad_spectral") == PROCESSORS
+
+
+# --- Renders ---
 
 
 CHOSEN = variant.ChosenVariant(
@@ -400,6 +435,14 @@ def test_packaged_scene_is_traced_in_child(card: Callable[[int], None]) -> None:
     np.testing.assert_array_equal(images[0].illuminance_lx(), images[1].illuminance_lx())
 
 
+def test_failing_card_ends_the_render(card: Callable[[int], None]):
+    card(0)
+    with pytest.raises(
+        PixsimError, match=r"the card fails\. To render without .*--variant scalar_spectral"
+    ):
+        light(CHOSEN)
+
+
 def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]) -> None:
     """A study that goes on where another variant traces evaluates anew, though the pictures are
     equal here.
@@ -411,14 +454,6 @@ def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]) -> None
         keys.append(set(sensor.keys(6.0, 2)))
     assert keys[0].isdisjoint(keys[1])
     assert keys[0] == keys[2]
-
-
-def test_failing_card_ends_the_render(card: Callable[[int], None]):
-    card(0)
-    with pytest.raises(
-        PixsimError, match=r"the card fails\. To render without .*--variant scalar_spectral"
-    ):
-        light(CHOSEN)
 
 
 def test_cached_renders_are_of_one_variant(
@@ -437,26 +472,3 @@ def test_cached_renders_are_of_one_variant(
         counts.append(len(list((tmp_path / "render").glob("*"))))
     assert variants == ["cuda_ad_spectral", VARIANT, "cuda_ad_spectral"]
     assert 0 < counts[0] < counts[1] == counts[2]
-
-
-@pytest.mark.parametrize(("picture", "fault"), [(PICTURE, "None"), (DIES, "dies of signal 6")])
-def test_trial_is_taken_once(picture: Trial, fault: str, machine: Machine) -> None:
-    """Its result holds, whatever a second trial would find; the doctor takes a second one."""
-    machine.picture = picture
-    with pytest.warns(UserWarning, match="the graphics card"):
-        first = graphics.graphics_trial()
-    assert fault in str(first.fault)
-    machine.picture = PICTURE
-    assert graphics.graphics_trial() == first
-    assert machine.tries == 1
-    assert graphics.graphics_trial(again=True).fault is None
-    assert machine.tries == 2
-
-
-def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A device without its library, as in containers that get the devices alone."""
-    (tmp_path / "nvidiactl").touch()
-    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setattr(graphics, "trial_render", lambda *_, **__: pytest.fail("started a process"))
-    fresh.setenv(graphics.DRIVER_VARIABLE, "nowhere.so")
-    assert "cannot be loaded (nowhere.so)" in str(graphics.graphics_trial().fault)
