@@ -38,13 +38,9 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 
 SPECTRA = FOLDER / "spectra"
-
 STEP_NM = 0.01  # each table is linear over cells of this width, or nearly: 1e-6 of any integral
-
 FINE_NM = np.arange(360 + STEP_NM / 2, 830, STEP_NM)
-
 NONE = np.zeros((0, 471))
-
 TOLERANCE = 2.5e-4  # what the bands may cost in a render: BANDS_SHARE of the default tolerance
 
 
@@ -75,16 +71,13 @@ def red(nm: np.ndarray) -> np.ndarray:
 
 
 RESPONSES = [electrons("0.35um"), electrons("4t-bsi"), photopic_efficiency, ramp, red]
-
 DETECTORS = [Detector(response) for response in RESPONSES]
-
 # Responses above zero at all wavelengths, so that no line is invisible.
 SEEING = [
     ramp,
     lambda nm: 1.1 - (nm - 360) / 470,
     lambda nm: 0.1 + np.exp(-(((nm - 550) / 60) ** 2)),
 ]
-
 MACBETH = np.array(
     [
         np.interp(grid_nm(), *np.loadtxt(file).T)
@@ -113,7 +106,6 @@ def exact_integral(lamp: Spectrum, low: float, high: float) -> float:
 
 # --- Tables ---
 RNG = np.random.default_rng(1)
-
 TABLES = {
     "ragged": spectrum(np.sort(RNG.uniform(340, 850, 60)), RNG.uniform(0, 3, 60)),  # ends outside
     "steps at its ends": spectrum([400.3, 500.7], [2, 5]),
@@ -152,11 +144,8 @@ def test_bands_of_a_smooth_lamp_are_uniform(lamp: Spectrum) -> None:
 
 
 LINES_NM = [360.0, 360.5, 361.0, 364.5, 365.0, 365.125, 374.99, 375.0, 532.0, 546.07, 632.8]
-
 LINES_NM += [655.0, 824.9, 825.0, 829.5, 830.0, *RNG.uniform(360, 830, 8).round(2).tolist()]
-
 BAND_LAMPS = {f"{nm} nm, {width} nm": line(nm, width) for nm in LINES_NM for width in (1.0, 0.1)}
-
 BAND_LAMPS |= {name: packaged(name) for name in ("fl11", "led_b3", "laser_532nm", "d65", "a")}
 
 
@@ -275,7 +264,6 @@ WAVES = np.array(
         for phase in (0, 2, 4)
     ]
 )
-
 FITS = [("fl11", WAVES), ("d65", WAVES), ("led_b3", MACBETH), ("laser_532nm", MACBETH)]
 
 

@@ -141,20 +141,10 @@ def test_texture_without_a_cache_is_temporary(monkeypatch: pytest.MonkeyPatch) -
 
 
 RGB = np.random.default_rng(1).integers(0, 65536, (20, 30, 3)).astype(np.uint16)
-
-
 EIGHT = (RGB >> 8).astype(np.uint8)
-
-
 OPAQUE = np.dstack([EIGHT, np.full((20, 30), 255, np.uint8)])
-
-
 LIGHT = (RGB / 6e4).astype(np.float32)
-
-
 PALETTE = np.array([[[0, 0, 0], [200, 30, 10]], [[255, 255, 255], [10, 200, 90]]], np.uint8)
-
-
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # Rec. ITU-R BT.709-6
 
 

@@ -76,7 +76,6 @@ TURN = (
     '<scale x="0.2" y="0.3" z="0.5"/><rotate x="1" y="2" z="0.5" angle="35"/><translate x="0.1"'
     ' y="-0.2" z="0.7"/>'
 )
-
 SHAPES = dict.fromkeys(
     ("rectangle", "cube", "disk"), f'<transform name="to_world">{TURN}</transform>'
 ) | {
@@ -130,9 +129,7 @@ def test_find_bodies_are_in_camera_frame() -> None:
 INSTANCE = """<shape type="shapegroup" id="group">{inside}</shape>
 <shape type="instance"><ref id="group"/><transform name="to_world"><scale value="2"/><translate x="0.1" z="3"/></transform></shape>
 <shape type="instance"><ref id="group"/><transform name="to_world"><translate z="5"/></transform></shape>"""
-
 BALL = '<shape type="sphere"><float name="radius" value="0.1"/></shape>'
-
 CUBE = (
     '<shape type="cube"><transform name="to_world"><scale value="0.1"/><translate'
     ' y="0.4"/></transform></shape>'
@@ -177,11 +174,8 @@ def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
 
 
 NM = np.arange(360.0, 831.0)
-
 RAMP = '<spectrum name="{}" value="360:{}, 830:{}"/>'
-
 RGB = '<rgb name="reflectance" value="0.2, 0.5, 0.1"/>'
-
 GOLD = '<string name="material" value="Au"/>'
 
 
@@ -256,8 +250,6 @@ NEUTRAL = {
     "twosided": (bsdf("twosided", bsdf("diffuse")),),
     "null": (bsdf("null"),),
 }
-
-
 # --- Metals ---
 INDEX = {
     "in the file": RAMP.format("eta", 0.2, 1.2) + RAMP.format("k", 3, 2),
@@ -312,9 +304,7 @@ VERTEX_COLOURS = (
     '<texture type="mesh_attribute" name="reflectance"><string name="name"'
     ' value="vertex_c"/></texture>'
 )
-
 INDEX_PICTURE = bitmap("true").replace('name="reflectance"', 'name="eta"')
-
 UNKNOWN = {
     "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),
@@ -350,7 +340,6 @@ SHORT = [
     (ends, "0.5, 0.7", (f"{ends.replace(', ', '-')} nm",))
     for ends in ("400, 600", "300, 829", "361, 1000", "300, 320")
 ]
-
 LONG = [
     ("400, 500, 600", "0, 0.7, 0", ()),
     ("360, 830", "0.5, 0.7", ()),
@@ -372,19 +361,13 @@ def test_find_surfaces_short_tables_are_listed(nodes, values, short, tmp_path):
 
 
 RISING = RAMP.format("reflectance", 0.1, 0.9)
-
 ONE = bsdf("diffuse", RISING)
-
 BOTH = RAMP.format("color0", 0.9, 0.2) + RAMP.format("color1", 0.1, 0.9)
-
 CHECKERBOARD = '<texture type="checkerboard" name="reflectance">{}</texture>'
-
 MASKED = bsdf("mask", f'<float name="opacity" value="0.5"/>{ONE}')
-
 BLEND = bsdf(
     "blendbsdf", f'<float name="weight" value="0.3"/>{bsdf("twosided", ONE)}{bsdf("diffuse")}'
 )
-
 # name: (BSDFs, the spectra that light is multiplied with)
 SPECTRA = {
     **{name: (bsdfs, []) for name, bsdfs in NEUTRAL.items()},

@@ -46,11 +46,7 @@ from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 
 PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
-
-
 LOOSE = 1e9  # the first pair is enough
-
-
 SHORT = pixsim.Exposure(integration_s=2e-3)
 
 
@@ -328,8 +324,6 @@ TABLES = {
     "display": {"dots": 32},
     "scene": {"spp": 4},
 }
-
-
 RUN = (
     f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100"
     " --pixel.pitch-um 84.8 --out"

@@ -25,27 +25,21 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 
 CASES = Path(__file__).parents[1] / "data/cases"
-
 CAMERA = Camera(f_number=4.0)
-
 FLAT = Pixel(
     technology="4t-bsi",
     pitch_um=10.0,
     quantum_efficiency=[[300, 0.5], [1100, 0.5]],
     stack={"enabled": False},
 )
-
 PLANE = (
     '<transform name="to_world"><scale value="3"/><lookat origin="0,0,1" target="0,0,0"'
     ' up="0,1,0"/></transform>'
 )
-
 BLACK_BODY = (
     '<spectrum type="blackbody" name="radiance"><float name="temperature" value="2856"/></spectrum>'
 )
-
 UNIFORM = '<spectrum name="radiance" value="300:1, 1100:1"/>'
-
 NM = np.linspace(300, 1100, 80_001)
 
 
@@ -181,7 +175,6 @@ def test_light_that_a_sky_lacks_is_said_with_its_share(end_nm: float, percent: f
 
 
 SQUARES = 830**2 - 360**2
-
 LAMPS = {
     "420:1, 640:1": {"begins at 420": 420**2 - 360**2, "ends at 640": 830**2 - 640**2},
     "360:1, 830:1": {},

@@ -40,23 +40,15 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.display_options import Display
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
-
-
 # Elsewhere: tests/references compares the pictures of csf, test_scenes the patches under smooth
 # lamps, flat has one luminance.
 CASES = {
     "target": ("target", {}),
     "macbeth laser": ("macbeth", {"lamp": "spectra/laser_532nm.spd"}),
 }
-
-
 # Samples and renders of the pruned and the full side, for a noise below 1 %
 SPP = (16, 4)
-
-
 RENDERS = (6, 5)
-
-
 FILM = 24
 
 
@@ -177,8 +169,6 @@ def test_coarse_film_of_a_flat_field_keeps_the_fall_off(focal_length_mm: float) 
 
 
 SLOW_LENS = pixsim.Camera(f_number=45.0)
-
-
 BARE = pixsim.Pixel(pitch_um=10.0, stack={"height_um": 8.0, "index": 1.5, "shift": "optimal"})
 
 

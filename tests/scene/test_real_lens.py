@@ -31,9 +31,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 
 PIXEL = Pixel(pitch_um=6.5)
-
 Rendered = tuple[Scene, Camera, Plan, SpectralImage]
-
 THIN = """
 name = "thin"
 units = "mm"
@@ -219,20 +217,15 @@ DEEP = """<emitter type="constant"/>
     <shape type="sphere"><point name="center" x="0" y="0" z="0.08"/><float name="radius" value="0.0002"/></shape>
     <shape type="rectangle"><transform name="to_world"><scale value="0.3"/><rotate y="1" angle="180"/>
         <translate z="0.2"/></transform></shape>"""
-
 CHART = """<integrator type="path"/><shape type="rectangle">
     <transform name="to_world"><scale value="HALF"/><rotate y="1" angle="180"/><translate z="1"/></transform>
     <emitter type="area"><texture type="bitmap" name="radiance">
         <string name="filename" value="chart.exr"/><boolean name="raw" value="true"/>
     </texture></emitter></shape>"""
-
 BALL = """<shape type="sphere"><point name="center" x="0.2" y="0" z="0.9"/><float name="radius" value="0.001"/></shape>
     <emitter type="constant"><spectrum name="radiance" value="0.1"/></emitter>"""
-
 CELLS, LARGER, DIE_MM = 48, 96, 0.48  # cells of the picture and of a larger one, of the same pitch
-
 TILING = Tiling(120.0, 210.0, 0.0)
-
 SINGLET = LensOptions(file="singlet", focal_length_mm=12.0)
 
 

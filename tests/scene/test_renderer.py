@@ -286,19 +286,15 @@ def test_render_threads_are_bit_identical() -> None:
 
 # --- A general scene: a white plane that reflects ---
 STEP_NM = 550.0
-
 DARK, BRIGHT = 0.2, 0.8
-
 REFLECTANCE = (
     f'<spectrum name="reflectance" value="360:{DARK}, 549.999:{DARK}, 550.001:{BRIGHT},'
     f' 830:{BRIGHT}"/>'
 )
-
 SKY = (
     '<emitter type="constant"><texture type="d65" name="radiance"><float name="scale"'
     ' value="0.01"/></texture></emitter>'
 )
-
 # Sampling the lobe alone, each path brings the sky times the reflectance: no noise.
 EXACT = (
     '<integrator type="direct"><integer name="emitter_samples" value="0"/><integer'

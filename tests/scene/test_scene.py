@@ -25,13 +25,9 @@ from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import Tree
 
 NAMES = ["cornell_box", "csf", "flat", "line_lamp", "macbeth", "siemens_star", "slanted_edge"]
-
 NAMES += ["still_life", "target", "yard"]
-
 RAW = '<boolean name="raw" value="true"/>'
-
 READING = "scalar_spectral"
-
 BALL = '<shape type="sphere"><float name="radius" value="{}"/></shape>'
 
 
@@ -119,11 +115,9 @@ def test_lux_of_one_lamp_holds_with_another_spectrum(tmp_path: Path) -> None:
 
 # --- The camera ---
 FOV, *PUPIL = lens_xml().partition("/>")
-
 FIELDS = {"fov": FOV + "/>"} | {
     length: f'<string name="focal_length" value="{length}"/>' for length in ("50mm", "35")
 }
-
 FIELDS |= {
     axis: f'{FOV}/><string name="fov_axis" value="{axis}"/>'
     for axis in ("y", "diagonal", "smaller", "larger")
@@ -152,7 +146,6 @@ def test_a_lens_of_numbers_keeps_its_view_on_any_die(die_mm: float | None, tmp_p
 
 
 LENS_VALUES = {"focal_length_mm": 6.0, "f_number": 2.8, "object_distance_m": 2.0}
-
 LENS_VALUES |= {"transmittance": 0.9, "die_mm": 5.0}
 
 
@@ -206,16 +199,12 @@ def line(low: float, high: float) -> str:
 BLACK_BODY = (
     '<spectrum type="blackbody" name="radiance"><float name="temperature" value="5000"/></spectrum>'
 )
-
 REGULAR = """<spectrum type="regular" name="radiance">
     <float name="wavelength_min" value="360"/><float name="wavelength_max" value="830"/>
     <string name="values" value="0, 470"/>
 </spectrum>"""
-
 RGB = '<rgb name="radiance" value="{}"/>'
-
 NM = grid_nm()
-
 # Planck's law with SI constants, W m⁻² sr⁻¹ nm⁻¹
 PLANCK = 1.191042972e20 / NM**5 / np.expm1(1.438776877e7 / (NM * 5000))
 
@@ -298,7 +287,6 @@ WHITE_LAMPS = [
     area(REGULAR, "c"),
     area(line(9, 9)),
 ]
-
 SAME_LAMPS = [area(d65_xml(3), "a"), area(d65_xml(1), "b")]
 
 
@@ -365,7 +353,6 @@ PAINTS = (
     '<shape type="sphere"><ref id="a"/></shape><shape type="disk"><ref id="b"/></shape>'
     '<shape type="obj"><string name="filename" value="mesh.obj"/></shape>'
 )
-
 NEAR = '<transform name="to_world"><translate x="0.0000001"/></transform>'
 
 

@@ -25,31 +25,15 @@ from pixsim.scene.tree import REFERENCES
 from pixsim.sensor.pixel_options import Pixel
 
 SCENES = ["cornell_box", "line_lamp", "macbeth", "still_life"]
-
-
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
-
-
 COS_45 = 0.5**0.5
-
-
 WHITE_CD_PER_M2 = 1000.0
-
-
 SIZE = 64
-
-
 SEED = 1
-
-
 FINE_NM = np.arange(360.0, 830.01, 0.05)
-
-
 # Four pulses, triangles 2 nm wide at half height: Mitsuba carries four wavelengths a ray and puts
 # one in each, so that colours have no noise.
 LINES_NM = np.array([450.0, 530.0, 610.0, 690.0])
-
-
 PULSE_NM = 2.0
 
 
@@ -277,8 +261,6 @@ PLACES_OF_LUX = {
     "still_life": ((0, 1e-4, -0.03), (0, 0.01, -0.035), 'x="1" angle="-90"'),
     "cornell_box": ((0, -0.2999, 1.1), (0, -0.28, 1.095), 'x="1" angle="-90"'),
 }
-
-
 ON_CHART = ((0, 0, 1 - 1e-4), (0, 0, 0.9), 'y="1" angle="180"')
 
 
@@ -330,8 +312,6 @@ def test_packaged_lamps_match_standards(name: str) -> None:
 
 # ASTM G173-03, global, W m⁻² nm⁻¹, as pvlib's documentation prints it, and a black body
 RANGE_NM = np.array([500.0, 800.0, 1100.0])
-
-
 TO_1100_NM = {
     "sunlight": np.array([1.5451, 1.0725, 0.48577]),
     "halogen": RANGE_NM**-5.0 / np.expm1(1.438776877e7 / (3200 * RANGE_NM)),
@@ -378,8 +358,6 @@ def test_macbeth_patches_match_tables() -> None:
 
 
 WHITE = np.s_[51:61, 51:61]
-
-
 CORNERS = {(0, 0): 1.0, (0, 1): 0.6, (1, 0): 0.3, (1, 1): 0.1}
 
 
@@ -413,8 +391,6 @@ def around(row: float, column: float, half: float = 0.02) -> tuple[slice, slice]
 
 
 A_OVER_D65 = in_pulses("a") / in_pulses("d65")
-
-
 # step: (where, radiance over radiance before, relative or absolute tolerance)
 RATIOS: dict[str, list[tuple[Any, ArrayLike, float]]] = {
     # Of patches, as test_macbeth_patches_match_tables has them
@@ -508,11 +484,7 @@ def test_step_another_instance(step: Edited) -> None:
 
 
 SUN_M, PAWN_M = 0.1393, 0.0701  # of the sun and the stem of the front pawn, along the camera's axis
-
-
 LENS = {"focus_distance": 0.1, "aperture_radius": 0.000689285714}
-
-
 HALF_FIELD = np.tan(np.radians(37.34378) / 2)
 
 
@@ -549,8 +521,6 @@ def expected_blur_px(distance_m: float, focus_distance: float, aperture_radius: 
 
 
 SUN_EDGE, PAWN_EDGE = (0.115, 0.303), (0.785, 0.218)
-
-
 # 2000 samples a column: from 6 seeds the fit scatters by 2 to 3 %. The sun's rim bends by .15
 # pixel, the pawn is round.
 BLUR_GATE = 0.12

@@ -19,11 +19,8 @@ from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.plan import Plan, make_render_plan
 
 CASES = Path(__file__).parents[1] / "data/cases"
-
 CONSTANT = '<emitter type="constant"/>'
-
 BALL = '<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>'
-
 LAMP = '<emitter type="constant"><spectrum name="radiance" filename="{}"/></emitter>'
 
 
@@ -77,16 +74,12 @@ def test_tables_that_are_no_spectrum_are_refused(content: str, words: str, tmp_p
 
 # --- Shares of light ---
 TABLE = '<spectrum name="reflectance" value="360:{0}, 830:{0}"/>'
-
 UNIFORM = '<texture type="uniform" {}><float name="value" value="{{0}}"/></texture>'
-
 PAINT = BALL.format('<ref name="reflectance" id="paint"/>')
-
 PICTURE = (
     '<texture type="bitmap" name="{}"><string name="filename" value="a.exr"/>'
     '<boolean name="raw" value="true"/></texture>'
 )
-
 SHARES = {
     "a number": BALL.format('<float name="reflectance" value="{}"/>'),
     "a table": BALL.format(TABLE),
@@ -150,7 +143,6 @@ def test_picture_of_a_reflectance_above_1_5_is_refused(texture: str, tmp_path: P
 
 # --- Maps ---
 AHEAD = '<transform name="to_world"><rotate y="1" angle="180"/><translate z="1"/></transform>'
-
 MAPS = {
     "normalmap": '<bsdf type="normalmap">{}<bsdf type="diffuse"/></bsdf>',
     "": '<bsdf type="bumpmap">{}<bsdf type="diffuse"/></bsdf>',

@@ -15,10 +15,8 @@ from pixsim.scene.scene import Scene
 from pixsim.scene.target import Target, disc_cover
 
 FILM = 128
-
 # A narrow field, so that the fall-off is 1e-4 at the ends of the longest bar.
 CAMERA = pixsim.Camera(focal_length_mm=100, die_mm=2.56, object_distance_m=1.0)
-
 SAMPLE_UM = 20.0  # 2.56 mm / 128
 
 

@@ -24,11 +24,8 @@ from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer, shared_passes
 
 pytestmark = NEEDS_LLVM
-
 LLVM = "llvm_ad_spectral"
-
 SIDE = 8
-
 LARGE = (
     1000  # operations of a kernel: a path takes 1700 here and more, what surrounds it less than 100
 )

@@ -23,7 +23,6 @@ from pixsim.scene.tree import SpectrumTable, children, parse_tree, tree_of
 from pixsim.sensor.exposure import Exposure
 
 VARIANT = "scalar_spectral"
-
 EVERY_KIND = """<scene version="3.0.0">
     <sensor type="thinlens" id="camera"><float name="fov" value="38.594975"/><integer name="seed" value="-3"/>
         <transform name="to_world"><lookat origin="0.1, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform></sensor>
@@ -34,7 +33,6 @@ EVERY_KIND = """<scene version="3.0.0">
     <shape type="sphere"><point name="center" x="0.1" y="2" z="3"/><boolean name="flip_normals" value="true"/>
         <ref id="white"/></shape>
 </scene>"""
-
 OF_MITSUBA = {
     "Transform": lambda value: value.matrix,
     "Reference": lambda value: value.id(),

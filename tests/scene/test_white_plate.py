@@ -26,53 +26,40 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.screen import white_header
 
 BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
-
 IRRADIANCE = 10.5
-
 AT_45 = math.cos(math.pi / 4) / math.pi  # radiance of a diffuser over irradiance
-
 DIRECTIONAL = (
     '<emitter type="directional"><vector name="direction" x="0" y="-1" z="1"/>'
     f'<spectrum name="irradiance" value="{BAND_NM}"/></emitter>'
 )
-
 CONSTANT = f'<emitter type="constant"><spectrum name="radiance" value="{BAND_NM}"/></emitter>'
-
 GREY = '<bsdf type="diffuse"><spectrum name="reflectance" value="0.2"/></bsdf>'
-
 BOARD = (
     '<shape type="rectangle"><transform name="to_world"><scale value="3"/><lookat origin="0,0,1"'
     f' target="0,0,0" up="0,1,0"/></transform>{GREY}</shape>'
 )
-
 SCREEN = f'<emitter type="area"><spectrum name="radiance" value="{BAND_NM}"/></emitter>'
-
 BALL = (
     '<shape type="sphere"><point name="center" x="0" y="0" z="1.05"/><float name="radius"'
     f' value="0.1"/>{GREY}</shape>'
 )
-
 TUBE = BALL.replace("sphere", "cylinder").replace(
     '<point name="center" x="0" y="0" z="1.05"/>',
     '<point name="p0" x="-1" y="0" z="1.05"/><point name="p1" x="1" y="0" z="1.05"/>',
 )
-
 ROOM = f'<shape type="cube"><transform name="to_world"><scale value="9"/></transform>{GREY}</shape>'
-
 SIGN = (
     BOARD.replace('value="3"', 'value="0.1"')
     .replace("0,0,1", "0,0.05,0.8")
     .replace('target="0,0,0', 'target="0,0.05,0')
     .replace("rectangle", "disk")
 )
-
 PIXEL: dict[str, Any] = {
     "technology": "4t-bsi",
     "pitch_um": 21.2,
     "quantum_efficiency": [[400, 0.6], [1000, 0.2]],
     "black_level_dn": 60,
 }
-
 SMALL: dict[str, Any] = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
 
 
