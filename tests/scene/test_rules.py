@@ -246,6 +246,10 @@ APPLIED: dict[str, tuple[str, list[tuple[str, str]], dict[str, Any], dict[str, A
     "stated samples on a finer film": ("csf", [], {"width": 4096, "spp": 16}, {"spp": 16}),
     "paths on a finer film": ("still_life", [], {"width": 1024}, {"spp": 4, "sampler": "independent"}),
     "an unknown surface": ("macbeth", [shape("sphere", SPHERE, '<bsdf type="principled"/>')], {}, {"bounded": False}),
+    **{
+        name: (*NOT_APPLIED[name][:2], {}, {"resolution": None})
+        for name in ("uniform chart out of focus", "chart smaller than the film")
+    },
     "a coloured slide": (*NOT_APPLIED["a spot with a coloured slide"][:2], {}, {"lamps": 2}),
 }  # fmt: skip
 
