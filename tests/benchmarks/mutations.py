@@ -44,6 +44,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/pixel.py", "_WELL_ROUNDS", "(_WELL_ROUNDS) + 1"): (
         "a fourth round changes a full well by 4e-10"
     ),
+    ("pixsim/sensor/diffusion.py", "1e-6 * pitch_um", "(2 * (1e-6 * pitch_um))"): (
+        "a width of 2e-6 of a pixel collects as a point does"
+    ),
+    ("pixsim/sensor/motion.py", "count - 1", "count + 1"): (
+        "tables of more fine steps have the same products"
+    ),
     (
         "pixsim/viewer/metric_kernels/visible_noise.py",
         "count - 1",
