@@ -33,6 +33,7 @@ from pixsim.viewer.raw_metrics import (
     code_moments,
     code_tables,
     contrast_factor,
+    full_e,
     neq_along,
     sensor_mtf,
     top_table,
@@ -55,6 +56,7 @@ PIXEL = Pixel(
     black_level_dn=64,
     fill_factor=1.0,
 )
+SMALL_ADC = PIXEL.model_copy(update={"gain_e_per_dn": 2.0, "dark_current_e_per_s": 1e4})
 DISPLAY = Display(white_cd_per_m2=WHITE_CD_PER_M2, dots=64)
 EXPOSURE = pixsim.Exposure(integration_s=TIME_S)
 ONE_REGISTRATION = {"detectability": {"registrations": 1}}
@@ -203,6 +205,12 @@ CLAIMS = [
         ],
         [0, -3.32],
         atol=1e-9,
+    ),
+    Claim(
+        "the ADC ends at its codes above black of 2 e-, less the dark charge",
+        lambda: full_e(chain_of(pixel=SMALL_ADC).readout, TIME_S),
+        2 * (4095 - 64) - 1e4 * TIME_S,
+        rtol=1e-12,
     ),
     Claim(
         "codes far from both ends have no table",
