@@ -50,6 +50,7 @@ FORMS: dict[str, str | bytes] = {
     "µm by name": "Wavelength_um QE\n.4 .3\n.5 .4\n.6 .25\n",
     "Å in the title": "λ (Å);QE\n4000;0,3\n5000;0,4\n6000;0,25\n",
     "A in brackets": "Lambda (A)  QE\n4000 0.3\n5000 0.4\n6000 0.25\n",
+    "a unit without a factor": "Wavelength (nm),QE (e/photon)\n400,0.3\n500,0.4\n600,0.25\n",
     "per cent in the title": "Wavelength (nm),QE (%)\n400,30\n500,40\n600,25\n",
     "per cent by name": "nm;qe_percent\n400;30\n500;40\n600;25\n",
     "per cent below the title": "Wavelength;QE\n[nm];[%]\n400;30\n500;40\n600;25\n",
