@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.looks import text_of
-from helpers.sheets import two_sheets
+from helpers.sheets import sheet, two_sheets
 
 import pixsim
 from pixsim.report.compare import numbers
@@ -38,6 +38,19 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
     cameras = [sensor["camera"] for sensor in content["sensors"].values()]
     assert [camera["focal_length_mm"] for camera in cameras] == [3.86, 3.86]
     assert content["film"]["samples"] == [36, 48]
+
+
+def test_compare_of_three_has_a_difference_for_each_pair(tmp_path: Path) -> None:
+    """That of the means of its sensors."""
+    files = [*two_sheets(tmp_path), sheet(tmp_path / "worst.toml", 400.0, prnu=0.0)]
+    options = SMALL.replace("--repeats 3", "--repeats 2 --match view --json")
+    code, out, err = command(f"compare {options} --out {tmp_path / 'out'}", *files)
+    assert code == 0, err
+    content = json.loads(out)
+    assert list(content["pairs"]) == list(content["verdicts"]) == ["noisy_one", "worst"]
+    for name, difference in content["difference"].items():
+        scores = content["pairs"][name]["scores"]
+        assert difference == pytest.approx(scores[name][1] - scores["quiet"][1], rel=1e-12)
 
 
 # --- the words of an answer

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from helpers.runs import run_result
 
+import pixsim
 from pixsim.base.headline import MAX_HEADLINE_WORDS
 from pixsim.report.curve import optimum_answer
-from pixsim.report.run import run_answer, shown_mean_of
+from pixsim.report.run import run_answer, run_document, shown_mean_of
 from pixsim.sensor.spectral_range import outside_share_text
 from pixsim.show.document import plain_text
+from pixsim.show.render import text
 from pixsim.studies.curve import CaseLabels, CurveErrors
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.run import RunResult
@@ -62,6 +64,23 @@ def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
         warnings = [cause.words in head for cause in result.causes] + ["not converged" in head]
         is_unsure = bool(result.causes) or not converged(result.light, result.light_limit)
         assert sum(warnings) == is_unsure, "one warning at most"
+
+
+@pytest.mark.parametrize(
+    ("metrics", "first", "other"),
+    [
+        (["detectability", "delta_e"], "detectability d′", "mean ΔE"),
+        (["delta_e", "detectability"], "mean ΔE", "detectability d′"),
+    ],
+)
+def test_headline_of_a_run_is_that_of_its_first_metric(
+    metrics: list[str], first: str, other: str
+) -> None:
+    options: Any = {"camera": {"die_mm": 0.2}, "pixel": {"bits": 12}, "metrics": metrics}
+    result = pixsim.run("target", resolution=64, **options)
+    head, *lines = text(run_document(result)).splitlines()
+    assert head.startswith(first)
+    assert any(line.strip().startswith(other) for line in lines)
 
 
 INTERVALS_UM = [(7.35, 7.88), (None, None), (None, 7.88), (16.0, None)]
