@@ -178,7 +178,6 @@ BARE = pixsim.Pixel(pitch_um=10.0, stack={"height_um": 8.0, "index": 1.5, "shift
         (SLOW_LENS, {}, False),
         (pixsim.Camera(f_number=1.4), {}, True),
         (SLOW_LENS, {"tolerance_e": 1e-5}, True),
-        (SLOW_LENS, {"full": True}, True),
     ],
 )
 def test_stack_is_left_out_where_it_is_one_scale_and_the_evaluation_does_it(
