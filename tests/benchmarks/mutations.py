@@ -47,6 +47,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/diffusion.py", "1e-6 * pitch_um", "(2 * (1e-6 * pitch_um))"): (
         "a width of 2e-6 of a pixel collects as a point does"
     ),
+    (
+        "pixsim/sensor/integration.py",
+        "number + _BLUR_WORK",
+        "(2 * (number + _BLUR_WORK))",
+    ): "how far a progress bar has come",
     ("pixsim/sensor/motion.py", "count - 1", "count + 1"): (
         "tables of more fine steps have the same products"
     ),
