@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.claims import Claim
-from helpers.closed_forms import charge_to_e, constant_diode_charge_e, spice_ff
+from helpers.closed_forms import charge_to_e, constant_diode_charge_e, implicit_charge_e, spice_ff
 from scipy.constants import c as light_speed, e as electron, h as planck, k as boltzmann
 from scipy.integrate import quad
 from scipy.stats import norm
@@ -631,6 +631,12 @@ LAYOUT = [
         rtol=1e-12,
     ),
     Claim(
+        "reset noise goes with the root of a stated well",
+        lambda: pixel_035(full_well_e=2e5).reset_noise_e ** 2 / 2e5,
+        pixel_035().reset_noise_e ** 2 / pixel_035().full_well_e,
+        rtol=1e-12,
+    ),
+    Claim(
         "a stated well over the swing of 1.2 V is the capacitance",
         lambda: pixel_035(full_well_e=1e5).capacitance_ff,
         1e5 * electron / 1.2 * 1e15,
@@ -751,6 +757,16 @@ PHOTODIODES = [
         lambda: DIODE.saturation_current_e_per_s,
         1e-17 / electron * pixel_035().photodiode_area_um2,
         rtol=1e-12,
+    ),
+    *(
+        Claim(
+            f"charge of {current:g} e-/s in {time_s:g} s, by an implicit solver",
+            lambda current=current, time_s=time_s: collected_charge_e(current, time_s, DIODE),
+            implicit_charge_e(current, time_s, DIODE),
+            rtol=1e-8,
+            why="tolerance of the solver",
+        )
+        for current, time_s in ((1e3, 1e3), (7e6, 0.03), (1e9, 0.03), (1e9, 3e-4))
     ),
     # As of a dark pixel's share below the mean: less than I_s e^(-V_0/V_T) collects nothing.
     Claim(
