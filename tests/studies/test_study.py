@@ -180,7 +180,7 @@ FLICKER = {"frames": 4, "flicker_hz": 100.0, "flicker_depth": 0.9, "integration_
 COLOUR = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 BURST = WHOLE_CHART | {
     "exposure": FLICKER,
-    "pixel": {"colour": COLOUR, "full_well_e": 700},
+    "pixel": {"colour": COLOUR, "full_well_e": 1500},
     "technologies": ("4t-bsi",),
 }
 
@@ -196,7 +196,7 @@ def test_study_cached_frames_same_bytes(
     damaged is.
     """
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    pitch = {"values_um": PITCHES_UM[1:]}
+    pitch = {"values_um": [10.0, 12.0, 14.0, 17.0, 20.0]}
     study = tiny(repeats=2, pitch=pitch, resolution=128, **frames)
     results = tmp_path / "out/results.csv"
 
