@@ -67,6 +67,13 @@ def test_numbers_and_facts_are_read_back(
     assert (tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
 
 
+def test_the_smallest_cell_of_black_levels_is_stored(tmp_path: Path) -> None:
+    levels = np.tile(CELL, (2, 2))[:3, :3]
+    write_frame(tmp_path / "raw.npz", RawFrame(CODES[:, :3], black_level_dn=levels))
+    with np.load(tmp_path / "raw.npz") as file:
+        np.testing.assert_array_equal(file["black_level_dn"], CELL)
+
+
 LARGEST = {".npz": 2**32 - 1, ".exr": 2**24 - 1}
 
 
