@@ -474,7 +474,7 @@ def test_a_part_at_fault_is_named_by_its_place(
         (
             float,
             -1e-31,
-            "got -1e-31; allowed: a number from -1e+30 to 1e+30, 0 or 1e-30 or more in size",
+            "got -1e-31; allowed: a number from -1e+30 to 1e+30, 0 or 1e-30 or more in absolute value",
         ),
         (
             int,

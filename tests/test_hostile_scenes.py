@@ -268,7 +268,7 @@ REFUSED = {
     "an unknown element": ('<bdsf type="diffuse"/>', r"another element in line.*Did you mean 'bsdf'"),
     "an unknown attribute": ('<bsdf type="diffuse" kind="x"/>', "unexpected attribute 'kind'"),
     "no type": ("<bsdf/>", "bsdf: got nothing in line 1"),
-    "a property twice": ('<shape type="sphere">' + '<float name="radius" value="1"/>' * 2 + "</shape>", "a second time"),
+    "a property twice": ('<shape type="sphere">' + '<float name="radius" value="1"/>' * 2 + "</shape>", "a second value"),
     "an id twice": ('<bsdf type="null" id="a"/>' * 2, "duplicate ID: 'a'"),
     "a child of another kind": ('<bsdf type="twosided"><shape type="sphere"/></bsdf>', "twosided: got <shape>"),
     "a falling table": ('<emitter type="point"><spectrum name="intensity" value="500:1, 400:2"/></emitter>', "increasing"),
@@ -482,12 +482,12 @@ def test_files_of_other_folders_are_refused(tmp_path):
     for name in ("../a.obj", "linked.obj", tmp_path / "a.obj"):
         path = scene_of(tmp_path / "inside", mesh.format(name))
         with pytest.raises(
-            PixsimError, match=r"mesh: got '.*\.obj', of another folder, in line 1.*assets='FOLDER'"
+            PixsimError, match=r"mesh: got '.*\.obj', in another folder, in line 1.*assets='FOLDER'"
         ):
             open_scene(path, {})
         assert open_scene(path, {"assets": str(tmp_path)}).text
     assert open_scene(scene_of(tmp_path / "inside", mesh.format("a.obj")), {"assets": ".."}).text
-    with pytest.raises(PixsimError, match=r"include: got .*of another folder"):
+    with pytest.raises(PixsimError, match=r"include: got .*in another folder"):
         open_scene(scene_of(tmp_path / "inside", '<include filename="../part.xml"/>'), {})
     named = '<default name="part" value="x"/><include filename="$part"/>'
     assert open_scene(scene_of(tmp_path / "inside", named), {"part": "../part.xml"}).text
@@ -513,7 +513,7 @@ def test_link_in_the_scenes_folder_is_not_what_a_parameter_names(tmp_path):
             f'<default name="{name}" value="parts"/>' + NAMED["obj"][1].format(f"${name}/a.obj"),
         )
         assert open_scene(path, {}).text
-        with pytest.raises(PixsimError, match=r"mesh: got '.*a\.obj', of another folder"):
+        with pytest.raises(PixsimError, match=r"mesh: got '.*a\.obj', in another folder"):
             open_scene(path, {name: str(value)})
 
 
@@ -541,7 +541,7 @@ def test_files_of_spectra_are_bounded_in_total(tmp_path, monkeypatch):
     )  # 471 values of 9 characters: 4237
     body = '<bsdf type="diffuse"><spectrum name="reflectance" filename="a.spd"/></bsdf>'
     assert len(open_scene(scene_of(tmp_path, body * 2), {}).text) > 2 * 4237
-    with pytest.raises(PixsimError, match="spectrum files of more than 10000 characters"):
+    with pytest.raises(PixsimError, match="spectrum files with more than 10000 characters"):
         open_scene(scene_of(tmp_path, body * 3), {})
 
 
@@ -609,7 +609,7 @@ BAD_MESHES = {
     "normal.obj": ((OBJ + "f 1/1/1 2/1/2 3/1/1\n").encode(), "normal 2"),
     "negative.obj": ((OBJ + "f -1 -2 -3\n").encode(), "invalid vertex"),
     "part uv.obj": ((OBJ + "f 1/1/1 2/1/1 3/1/1\nf 1/1/1 2//1 3/1/1").encode(),
-        "without texture coordinates in line 7, beside others"),
+        "without texture coordinates in line 7, among others"),
     "part normals.obj": ((OBJ + "f 1/1/1 2/1/1 3/1\n").encode(), "without normals in line 6"),
     "no corners with uv.obj": ((POINTS + "vt 0 0\n\tf 1 2 3\n").encode(), "without texture coordinates in line 5"),
     "long.obj": ((OBJ + "f" + " 1 2 3" * 999).encode(), "long line"),
@@ -850,7 +850,7 @@ def test_child_that_takes_too_long_is_killed(tmp_path):
     process = stopped(tmp_path)
     ends_at_s = time.monotonic() + 0.2
     with pytest.raises(
-        OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish"
+        OutOfTimeError, match=r"max_seconds: got a limit too short for Mitsuba"
     ):
         ChildTracer(job_of(tmp_path), lambda: ends_at_s).sample_count("multijitter", 4)
     assert not is_running(process)

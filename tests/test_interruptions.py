@@ -638,7 +638,7 @@ def test_command_deleted_current_folder(
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    assert_refused(*command(line), ["current folder: got one that is gone", "cd ~"])
+    assert_refused(*command(line), ["current folder: got a folder that no longer exists", "cd ~"])
 
 
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:

@@ -237,7 +237,7 @@ EXPECTED_WARNINGS = (
         "changes? nothing here",
         "is unusual",
     ),
-    "the frame tells nothing",
+    "the frame contains no information",
 )
 EXPECTED_WARNING = f".*({'|'.join(EXPECTED_WARNINGS)})"
 

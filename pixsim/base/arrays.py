@@ -257,7 +257,7 @@ def read_arrays(
             if entry.compress_type not in _COMPRESSION_METHODS:
                 raise invalid(
                     name,
-                    f"'{path}' with {array} packed by method {entry.compress_type}",
+                    f"'{path}' with {array} compressed with method {entry.compress_type}",
                     "stored or deflated arrays",
                 )
             with archive.open(entry) as member:

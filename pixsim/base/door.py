@@ -249,7 +249,9 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
         if not bounds.hold(size, size):
             raise _invalid_value(value_text(value), allowed)
         if 0 < abs(size) < SMALLEST:
-            raise _invalid_value(value_text(value), f"{allowed}, 0 or {SMALLEST:g} or more in size")
+            raise _invalid_value(
+                value_text(value), f"{allowed}, 0 or {SMALLEST:g} or more in absolute value"
+            )
         return plain
 
     return number

@@ -47,7 +47,7 @@ NOTES = {
     # A lens of the user's is scaled to the die.
     "lens_scaled": _NoteKind(
         "lens '{lens}' of {focal_mm:.5g} mm is scaled so that its largest field reaches the corner"
-        " of the die: lens.focal_length_mm = {focal_mm:.5g} leaves it as it is in its file",
+        " of the die: lens.focal_length_mm = {focal_mm:.5g} keeps the size stated in its file",
         True,
     ),
     # The image circle of a lens is smaller than the die.
@@ -75,7 +75,7 @@ NOTES = {
     ),
     # The spectral bands do not reach the tolerance of the mean electrons.
     "electrons_error": _NoteKind(
-        "the error of mean electrons is up to {error:.1e}, above the tolerance {tolerance:g}:"
+        "the error of the mean electrons is up to {error:.1e}, above the tolerance {tolerance:g}:"
         " {limits}",
         True,
     ),
@@ -87,7 +87,7 @@ NOTES = {
     "light_file": _NoteKind("'{file}' {words}", True),
     # Light was rendered for another camera.
     "other_camera": _NoteKind(
-        "the irradiance was rendered with a camera of different {names}", True
+        "the irradiance was rendered for a camera with different {names}", True
     ),
     # --- display
     # More than 1 % of the ideal image is brighter than display white.

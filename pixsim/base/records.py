@@ -60,7 +60,9 @@ def _not_tiny(value: object) -> object:
     """
     if isinstance(value, float):
         if 0 < abs(value) < SMALLEST:
-            raise ValueError(f"got {value:g}; allowed: 0, or at least {SMALLEST:g} in size")
+            raise ValueError(
+                f"got {value:g}; allowed: 0, or at least {SMALLEST:g} in absolute value"
+            )
         return value + 0.0  # -0.0 + 0.0 is 0.0
     if isinstance(value, tuple):
         if any(isinstance(part, float | tuple) for part in value):

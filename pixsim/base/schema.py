@@ -40,7 +40,7 @@ def check_not_newer(name: str, got: object) -> None:
     name : of the file, in words
     """
     if got is not None and (type(got) is not int or not 1 <= got <= SCHEMA):
-        hint = "Take the version of pixsim that wrote it, or a newer one."
+        hint = "Use the version of pixsim that wrote it, or a newer one."
         raise invalid(name, f"schema {str(got)[:20]}", f"up to {SCHEMA}", hint)
 
 

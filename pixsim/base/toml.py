@@ -34,10 +34,12 @@ def read_toml(path: Path) -> dict[str, Any]:
     unquoted = text.translate(dict.fromkeys(map(ord, " \t\"'")))
     keys = re.split(r"[=\[\]{}#,\n]", unquoted)
     if max(key.count(".") for key in keys) > MAX_DOTS:
-        raise invalid(source, f"a key of more than {MAX_DOTS} dots", f"at most {MAX_DEPTH}")
+        raise invalid(source, f"a key with more than {MAX_DOTS} dots", f"at most {MAX_DEPTH}")
     if re.search(rf"[0-9a-fA-F_]{{{MAX_DIGITS + 1}}}", text):
         raise invalid(
-            source, f"a number of more than {MAX_DIGITS} digits", "numbers in the range of a float"
+            source,
+            f"a number with more than {MAX_DIGITS} digits",
+            "numbers in the range of a float",
         )
     try:
         table = tomllib.loads(text)

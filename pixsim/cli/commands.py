@@ -121,7 +121,7 @@ def _check_current_folder() -> None:
     try:
         os.getcwd()
     except OSError as error:
-        got = f"one that is gone ({error.strerror})"
+        got = f"a folder that no longer exists ({error.strerror})"
         raise invalid(
             "current folder", got, "a folder that exists", "Change to another one: cd ~"
         ) from None

@@ -217,6 +217,6 @@ def explore_until_closed(session: Session, opened: Callable[[Path], object] | No
         if opened is not None:
             opened(file)
         elif not webbrowser.open(file.as_uri()):
-            hint = "--no-browser, in Python opened=print, names the page's file."
-            raise invalid("browser", "none that can be opened", "one", hint)
+            hint = "--no-browser (opened=print in Python) prints the page's file."
+            raise invalid("browser", "none", "a browser that can be opened", hint)
         session.serve()

@@ -91,7 +91,7 @@ class PageRequest(NamedTuple):
         except (KeyError, TypeError, ValueError, OverflowError):
             pass  # no request
         raise invalid(
-            "page", "a message that is no request", "what the page of this version of pixsim sends"
+            "page", "a message that is not a request", "a request from this version's page"
         )
 
 
@@ -176,7 +176,7 @@ class Session:
                 pass  # what came is next
             except (PixsimError, MemoryError) as error:
                 words = (
-                    str(error) or "out of memory: take larger pixels, or a smaller part of the die"
+                    str(error) or "out of memory: use larger pixels, or a smaller part of the die"
                 )
                 self.send({"number": request.number, "error": words})
             except Exception as error:  # the other requests of the page still have an answer

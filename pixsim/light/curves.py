@@ -29,7 +29,7 @@ from pixsim.light.tables import (
 
 # (wavelength in nm, electrons per photon), wavelengths increasing
 EfficiencyCurve = tuple[tuple[float, float], ...]
-_ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
+_ALLOWED_FILE = "a number, or a CSV file with wavelength in nm and value"
 MAX_FILE_BYTES = 1 << 20
 ALLOWED_NM = (100.0, 2000.0)
 ALLOWED = (
@@ -65,8 +65,8 @@ def as_quantum_efficiency(value: object) -> object:
             raise ValueError(f"got {value:g}; allowed: a fraction: {value:g} % is {value / 100:g}")
         if not MIN_FRACTION <= value <= 1:
             raise ValueError(
-                f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in"
-                " nm and value"
+                f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file with wavelength"
+                f" in nm and value"
             )
         return value
 
@@ -103,7 +103,8 @@ def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
         highest = max(column_quantum_efficiency(column, table.nm), default=0.0)
         if column.unit == A_PER_W and highest > 1:
             got = (
-                f"'{path}' in A/W, by its title, which makes a quantum efficiency of {highest:.3g}"
+                f"'{path}' in A/W, according to its title, which gives a quantum efficiency of"
+                f" {highest:.3g}"
             )
             raise ValueError(
                 f"got {got}; allowed: up to 1, λ/1239.84 nm in A/W. In mA/W? Or relative values?"
@@ -152,7 +153,7 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
     return pairs
 
 
-_ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and such shares"
+_ALLOWED_SHARE = "0 or more and below 1, or a CSV file with wavelength in nm and such a share"
 
 
 def as_share(value: object) -> object:
@@ -231,8 +232,8 @@ _COLOUR_WORDS = {
 _COVERED_NM = (400.0, 700.0)
 _MAX_STEP_NM = 20.0  # between their points there
 _ALLOWED_CURVES = (
-    "a CSV file of wavelength in nm and one value a channel, with the letters of the channels as"
-    " title"
+    "a CSV file with wavelength in nm and one value for each channel, titled by the letters of the"
+    " channels"
 )
 
 
@@ -353,7 +354,7 @@ def _check_channel(
         if not 0 <= value <= highest:
             hint = ""
             if value < 0:
-                hint = " Set negative values, as noise of a measurement leaves them, to 0."
+                hint = " Set negative values, which come from measurement noise, to 0."
             elif 1 < value <= 100:
                 hint = f" {_IN_PER_CENT}."
             raise ValueError(f"got {source} with {value:g} at {nm:g} nm; allowed: {allowed}.{hint}")

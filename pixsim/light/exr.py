@@ -70,7 +70,7 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
                 "EXR file",
                 f"'{path}' with {kind_words}",
                 "one flat image",
-                "Save it as scan lines or tiles of one part.",
+                "Save it as one part with scan lines or tiles.",
             )
 
     file_bytes = os.fstat(file.fileno()).st_size
@@ -532,7 +532,7 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     """
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
-        hint = "pixsim.read_irradiance reads light of another program."
+        hint = "pixsim.read_irradiance reads light from another program."
         raise invalid(
             "irradiance file",
             f"'{path}', which has no pixsim header",

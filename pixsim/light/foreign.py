@@ -275,8 +275,8 @@ def _read_spectral_exr(path: Path) -> Cube:
 
     if not centre_nm:
         hint = (
-            'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral"; of a'
-            " Mitsuba scene pixsim takes the XML, and renders it itself."
+            'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral"; give pixsim'
+            " the XML of a Mitsuba scene, which it renders itself."
         )
         allowed = (
             "one channel per wavelength, with names such as S0.550,0nm, 550nm or 540.00-560.00nm"
@@ -412,7 +412,7 @@ def _read_envi(path: Path) -> Cube:
     content = read_bytes(path, "ENVI file", "an ENVI header", MAX_ENVI_HEADER)
     if content.count(b"\n") > MAX_ENVI_LINES:
         raise invalid(
-            "ENVI file", f"'{path}' of more than {MAX_ENVI_LINES} lines", "a shorter ENVI header"
+            "ENVI file", f"'{path}' with more than {MAX_ENVI_LINES} lines", "a shorter ENVI header"
         )
 
     try:

@@ -263,7 +263,10 @@ def read_table(
         is_percent = symbol == "%"
         highest = max(float(row[index]) for row in rows)
         if is_percent and highest <= 1:
-            text = f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
+            text = (
+                f"'{path}' states per cent, and no value is above {highest:g} %: it is read as per"
+                f" cent. "
+            )
             warn(Note("file_as_read", words=f"{text}Fractions have no % in their title"))
 
         values = tuple(_scaled(row[index], power) for row in rows)
@@ -382,7 +385,8 @@ def _title_wavelength_unit(title: str, path: Path, allowed: str) -> str:
     other_units = [_NO_WAVELENGTH[word] for word in _words(title) if word in _NO_WAVELENGTH]
     if not unit and other_units:
         raise ValueError(
-            f"got '{path}' in {other_units[0]}, by its title; allowed: {allowed}. Convert it to"
+            f"got '{path}' in {other_units[0]}, according to its title; allowed: {allowed}."
+            f" Convert it to"
             " wavelength in nm"
         )
     return unit

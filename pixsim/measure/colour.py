@@ -290,8 +290,8 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
             f" channel {layout.channels[first]}"
         )
         hint = (
-            "Its filter or quantum efficiency passes too little of D55; or take more pixels, bits"
-            " or gain."
+            "Its filter or quantum efficiency passes too little of D55. Otherwise use more pixels,"
+            " bits or gain."
         )
         raise invalid(
             "colour", got, f"more than {_MIN_WHITE_SIGMAS:g} standard errors in each channel", hint

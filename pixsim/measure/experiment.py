@@ -333,7 +333,7 @@ def make_experiment(
     exposure = exposure or Exposure()
     physics = _most_frequent_channel(derived)
     if exposure.gain_db == "auto":
-        raise invalid("exposure.gain_db", "'auto'", "a gain in dB, that of all frames of the test")
+        raise invalid("exposure.gain_db", "'auto'", "one gain in dB for all frames of the test")
     stated = replace(Readout.of(physics), gain_db=exposure.gain_db)
     time_s = _usual_integration_s(stated, exposure)
     readout = with_black_level(stated, time_s)

@@ -602,7 +602,9 @@ def lens(
 
     if len(wavelength_nm) > _MAX_WAVELENGTHS:
         raise invalid(
-            setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {_MAX_WAVELENGTHS}"
+            setting("wavelength_nm"),
+            f"{len(wavelength_nm)} wavelengths",
+            f"at most {_MAX_WAVELENGTHS}",
         )
 
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):

@@ -429,7 +429,7 @@ def _measured_channels(
         raise invalid(
             "edge picture",
             got,
-            f"at least {_MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic",
+            f"at least {_MIN_SIDE_PX * max(period)} pixels per side, for one channel of a mosaic",
         )
 
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
@@ -610,7 +610,7 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
         raise invalid(
             "edge picture",
             f"{data.shape[1]} × {data.shape[0]} pixels",
-            f"at least {_MIN_SIDE_PX} a side",
+            f"at least {_MIN_SIDE_PX} pixels per side",
         )
 
     data = data.astype(float)
@@ -625,7 +625,7 @@ def _cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     largest = np.abs(data).max()
     if largest and not SMALLEST <= largest <= LARGEST:
         got = f"a largest value of {largest:g}"
-        allowed = f"{SMALLEST:g} to {LARGEST:g} in size"
+        allowed = f"{SMALLEST:g} to {LARGEST:g} in absolute value"
         raise invalid("edge picture", got, allowed, "Scale the picture.")
 
     return data
@@ -752,7 +752,8 @@ def _check_clipping(grids: Sequence[_ChannelGrid], is_unclipped: bool) -> None:
                 raise invalid(
                     "edge picture",
                     clipping,
-                    "noise on both sides, or on neither: this is clipped, which sharpens the edge",
+                    "noise on both sides, or on neither: a side without noise is clipped, which"
+                    " sharpens the edge",
                     hint,
                 )
             text = f"{clipping}, as if it were clipped: {_SHARPENS}"
@@ -791,7 +792,7 @@ def _clipping_text(
         return ""
     return (
         f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g}"
-        f" above black, beside noise of σ = {noise * code:.3g} on the other side"
+        f" above black, while the other side has noise of σ = {noise * code:.3g}"
     )
 
 
@@ -825,7 +826,7 @@ def _check_kinks(
     ]
     if not any(clipped) or max(kinks) < _MIN_KINK_RATIO * min(kinks):
         if all(clipped):
-            text = f"a kink at both sides, which no lens leaves and clipping does: {_SHARPENS}"
+            text = f"a kink on both sides, which clipping leaves and no lens does: {_SHARPENS}"
             warn(Note("edge_picture", words=text))
         return
 
@@ -1092,9 +1093,10 @@ def _warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: i
     if misfit > _MAX_MISFIT_PX * spacing and scatter**2 > _MIN_MISFIT_RATIO * noise**2:
         loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
         text = (
-            f"the edge is no polynomial of degree {degree}: its rows scatter about it by"
+            f"the edge does not follow a polynomial of degree {degree}: its rows scatter about it"
+            f" by"
             f" {misfit:.2g} px (RMS), which lowers the SFR at Nyquist by about {percent(loss)};"
-            " take a region in which it is even"
+            " choose a region in which the edge is smooth"
         )
         warn(Note("edge_region", words=text))
 
@@ -1398,8 +1400,8 @@ def _warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None
     if abs(change) > max(_MAX_SHADING * step, _SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
         text = (
             f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the"
-            f" step within {half_px:.3g} px, which the SFR takes for blur or sharpening at low"
-            " frequency; correct the picture with a flat field, or take a smaller region"
+            f" step within {half_px:.3g} px, which looks like blur or sharpening at low frequency"
+            f" in the SFR; correct the picture with a flat field, or choose a smaller region"
         )
         warn(Note("edge_region", words=text))
 
@@ -1477,8 +1479,8 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
         text = (
-            f"'{path}' states an encoding for displays ({metadata[ENCODING]}): the SFR is that of"
-            " light only if the values are linear in it"
+            f"'{path}' states an encoding for displays ({metadata[ENCODING]}): the SFR is correct"
+            f" only if the values are linear in light"
         )
         warn(Note("file_as_read", words=text))
 
@@ -1518,8 +1520,8 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     saturated = stated_number(metadata, "saturated_fraction")
     if saturated > _MAX_SATURATED:
         text = (
-            f"'{path}' states {percent(saturated, 1)} saturated pixels, which need not be at the"
-            " top code and may lie beside it"
+            f"'{path}' states {percent(saturated, 1)} saturated pixels, which may be slightly"
+            f" below the top code"
         )
         warn(Note("edge_picture", words=f"{text}: {_SHARPENS}"))
 
@@ -1596,7 +1598,9 @@ def sfr(
         if top is not None and top <= highest_level:
             name = "black" if saturation is None else "saturation"
             raise invalid(
-                setting(name), f"{top:g} with a black level of {highest_level:g}", "more than it"
+                setting(name),
+                f"{top:g} with a black level of {highest_level:g}",
+                "more than the black level",
             )
 
         edge = edge_response(

@@ -472,7 +472,10 @@ class CameraOptions(Record):
                 f" '{camera.lens.file if camera.lens else ''}'"
             )
             raise invalid(
-                "camera", got, "the lens of that light", "Render the scene with the other lens."
+                "camera",
+                got,
+                "the lens with which this light was rendered",
+                "Render the scene with the other lens.",
             )
 
         return Camera(
@@ -516,6 +519,6 @@ class CameraOptions(Record):
         if camera.lens or self.focal_length_mm is not None or self.die_mm is None:
             return ""
         return (
-            f"focal length {camera.focal_length_mm:.3g} mm assumed, that of the scene: a field of"
+            f"focal length {camera.focal_length_mm:.3g} mm assumed, as in the scene: a field of"
             f" {camera.field_words}"
         )

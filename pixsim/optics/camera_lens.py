@@ -318,8 +318,8 @@ def field_angles(
 
     raise invalid(
         "lens.file",
-        f"'{traced.file}', without an image of {corner_mm:g} mm around its axis",
-        "a lens for the die",
+        f"'{traced.file}', whose image does not reach {corner_mm:g} mm from its axis",
+        "a lens whose image covers the die",
     )
 
 
@@ -911,8 +911,8 @@ def _stated_tiling(stated: object, image: SpectralImage) -> Tiling:
         raise invalid(
             f"'{LENS_HEADER}' of the light's header",
             f"{stated!r:.200}",
-            f"at most {max_tiles} tiles across, PSFs of {max_cells} cells, and the rest as"
-            " pixsim.render writes it",
+            f"at most {max_tiles} tiles across, PSFs of {max_cells} cells, and the other entries"
+            f" as pixsim.render writes them",
             "Render the scene again.",
         )
     return tiling

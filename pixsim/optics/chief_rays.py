@@ -141,8 +141,8 @@ def _check_chief_rays(rows: ChiefRayAngles, source: str) -> ChiefRayAngles:
     Raises ValueError if the rows are no chief rays of a lens.
     """
     allowed = (
-        "2 to 1000 rows of an image height in mm and an angle in degrees, and perhaps the relative"
-        " illumination, all alike"
+        "2 to 1000 rows of an image height in mm and an angle in degrees, and optionally the"
+        " relative illumination, in every row"
     )
     if not (
         2 <= len(rows) <= _MAX_CHIEF_RAYS

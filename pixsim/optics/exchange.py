@@ -130,9 +130,12 @@ def camera_of_light(
     with a lens other than the lens of the render.
     """
     if "camera" in image.header and lens.file is not None:
-        got = f"'{lens.file}' for light of '{path}', which came through its own"
+        got = f"'{lens.file}' for light of '{path}', which was rendered with another lens"
         raise invalid(
-            "lens.file", got, "the lens of that light", "Render the scene with this lens."
+            "lens.file",
+            got,
+            "the lens with which this light was rendered",
+            "Render the scene with this lens.",
         )
 
     die = {"die_mm": image.pitch_um * image.shape[1] / 1e3} if options.die_mm is None else {}
@@ -193,8 +196,8 @@ def _from_cube(
             samples_text += f" and {len(outliers) - 1} more"
         warning_text = (
             f"has isolated samples, more than {OUTLIER:g} times all others"
-            f" ({samples_text}), as fireflies of a path tracer do: the automatic exposure is as if"
-            " they were like their neighbours. Remove them at their source"
+            f" ({samples_text}), like the fireflies of a path tracer: the automatic exposure"
+            f" treats them as if they were like their neighbours. Remove them at their source"
         )
         warn(Note("light_file", file=path.name, words=warning_text))
 
@@ -213,7 +216,7 @@ def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
         low = nm[0] - width_nm[0] / 2
         high = nm[-1] + width_nm[-1] / 2
         text = (
-            f"has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g}"
+            f"has {nm.size} bands of up to {width_nm.max():g} nm: they represent {low:g}-{high:g}"
             " nm, with the light uniform within each and none outside. Colour and quantum"
             f" efficiency need bands of {_WIDE_BAND_NM:g} nm or less"
         )
@@ -262,7 +265,7 @@ def _read_pixsim_exr(
         factor = f"{reduced['factor']:.4g}"
         text = (
             f"holds means over {factor} × {factor} samples of the render, {image.pitch_um:.4g} µm"
-            " wide: what is finer is lost, and results differ; pixsim run --irradiance full"
+            f" wide: finer detail is lost, and results differ; pixsim run --irradiance full"
             " keeps it"
         )
         warn(Note("light_file", file=path.name, words=text))

@@ -470,9 +470,9 @@ def _pupil_window(
     if window > _MAX_WINDOW:
         raise invalid(
             "PSF window",
-            f"{window * pitch_um:.4g} µm of {window} film cells",
+            f"{window * pitch_um:.4g} µm, or {window} film cells",
             f"at most {_MAX_WINDOW} cells",
-            "Take a coarser film or a smaller f-number.",
+            "Use a coarser film or a smaller f-number.",
         )
     return window
 
@@ -776,7 +776,7 @@ class RadialPsfs:
             raise invalid(
                 "film cell of a PSF",
                 f"{pitch_um:.6g} µm",
-                f"at least {self.pitch_um:.6g} µm, for which these PSFs are",
+                f"at least {self.pitch_um:.6g} µm, for which these PSFs were computed",
             )
 
         # Frequencies of the film, turned into the frame of each point's field.

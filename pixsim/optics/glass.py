@@ -119,7 +119,7 @@ class Glass:
                 "wavelength_nm",
                 got,
                 expected,
-                "Leave these wavelengths out, or take another glass.",
+                "Leave these wavelengths out, or choose another glass.",
             )
 
         with np.errstate(all="ignore"):
@@ -201,7 +201,7 @@ def check_coefficients(numbers: Sequence[float], where: str) -> None:
     low, high = _COEFFICIENTS
     wrong = [number for number in numbers if not (number == 0 or low <= abs(number) <= high)]
     if wrong:
-        raise invalid(where, f"{wrong[0]:g}", f"0, or {low:g} to {high:g} in size")
+        raise invalid(where, f"{wrong[0]:g}", f"0, or {low:g} to {high:g} in absolute value")
 
 
 def dispersive_coefficients(formula: int, numbers: Sequence[float]) -> Sequence[float]:
@@ -544,7 +544,7 @@ def read_catalogue(path: Path) -> dict[str, Glass]:
     Raises PixsimError if it cannot be read, has no glass, or if a glass's formula does not give the
     n_d that its line states.
     """
-    expected = "a glass catalogue as Zemax has it (AGF), which is text"
+    expected = "a Zemax glass catalogue (AGF), which is a text file"
     glasses: dict[str, Glass] = {}
     entry: _CatalogueEntry | None = None
     lines = text_lines(read_zemax_text(path, "lens.glass_catalogues", expected, MAX_BYTES))
@@ -608,7 +608,7 @@ def _catalogue_glass(path: Path, entry: _CatalogueEntry) -> Glass:
         formula_n_d = float(glass.index(1e3 * LINES_UM["d"]))
         if not abs(formula_n_d - entry.n_d) < _AGF_AGREEMENT:
             raise invalid(
-                f"{where}: n_d of its formula",
+                f"{where}: n_d from its formula",
                 f"{formula_n_d:.6g}",
                 f"{entry.n_d:g}, as its line NM states",
                 "Check the file.",

@@ -1005,7 +1005,7 @@ class Lens:
                 f"a ray at field_deg = {angle_deg:g} through ({point.real:.3g}, {point.imag:.3g})"
                 f" of the stop that {where}",
                 "rays that reach the image",
-                "Stop the lens down, take a smaller field, or leave these points out.",
+                "Stop the lens down, use a smaller field, or leave these points out.",
             )
         opd[:, is_inside] = traced[:, which.ravel()]
         return opd

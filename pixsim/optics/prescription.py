@@ -242,7 +242,7 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
         note = Note(
             "not_used",
             setting="lens.glass_catalogues",
-            reason=f"no glass of lens '{prescription.name}' is theirs",
+            reason=f"lens '{prescription.name}' has no glass from them",
         )
         return replace(prescription, notes=(*prescription.notes, note))
 
@@ -338,7 +338,7 @@ def _check_surface(surface: Surface, name: str) -> None:
     }
     for field_name, value in numbers.items():
         if not (value == 0 or MIN_SIZES[field_name] <= abs(value) <= _MAX_LENGTH_MM):
-            allowed = f"0, or {MIN_SIZES[field_name]:g} to {_MAX_LENGTH_MM:g} in size"
+            allowed = f"0, or {MIN_SIZES[field_name]:g} to {_MAX_LENGTH_MM:g} in absolute value"
             raise invalid(f"{name}: {field_name}", f"{value:g}", allowed)
 
     if surface.thickness_mm < 0 and surface.glass != AIR:
@@ -356,13 +356,13 @@ def _check_surface(surface: Surface, name: str) -> None:
             raise invalid(
                 f"{name}: asphere",
                 f"A{power} = {value:g}",
-                f"finite terms A2 to A{MAX_POWER}, by the power of r",
+                f"finite terms A2 to A{MAX_POWER}, named by the power of r",
                 hint,
             )
 
         min_size = _MIN_SAG_MM / _MAX_LENGTH_MM**power
         if 0 < abs(value) < min_size:
-            allowed = f"0, or at least {min_size:.1g} in size"
+            allowed = f"0, or at least {min_size:.1g} in absolute value"
             raise invalid(f"{name}: asphere", f"A{power} = {value:g}", allowed)
 
 
@@ -474,7 +474,7 @@ class _SurfaceTable(Record):
     glass: str | AnyNumber | _GlassTable = Field("air", description="medium behind the surface")
     conic: Length = Field(0.0, description="k of the conic")
     asphere: dict[str, AnyNumber] = Field(
-        default_factory=dict, description="A4, A6 …: coefficients by the power of r"
+        default_factory=dict, description="A4, A6 …: coefficients named by the power of r"
     )
     semi_diameter_mm: Positive | None = Field(
         None, description="of the surface, for drawings unless it clips"
@@ -562,7 +562,7 @@ def _read_toml(
         raise invalid(
             "lens.configuration",
             options.configuration,
-            f"1: '{path}' has one configuration, as every .toml file",
+            f"1: '{path}' has one configuration, like every .toml file",
         )
 
     zmx_options = ("semi_diameters", "vignetting_factors", "unknown_glass")
@@ -673,7 +673,7 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
             raise invalid(
                 f"{where}: radius_mm",
                 f"{radius:g}",
-                f"at least {1 / _MAX_LENGTH_MM:g} in size; inf for a plane",
+                f"at least {1 / _MAX_LENGTH_MM:g} in absolute value; inf for a plane",
             )
 
         if curvature is not None and not math.isclose(
@@ -702,7 +702,7 @@ def _toml_surface(table: _SurfaceTable, glass: Glass, where: str) -> Surface:
             raise invalid(
                 f"{where}: asphere",
                 f"a term that is {excerpt(name)}",
-                f"A2 to A{MAX_POWER}, by the power of r",
+                f"A2 to A{MAX_POWER}, named by the power of r",
             )
         if value:
             asphere.append((int(name[1:]), value))
@@ -737,7 +737,9 @@ def _toml_glass(
         return AIR
     if value.upper() == "MIRROR":
         raise invalid(
-            f"{where}: glass", "'MIRROR', a mirror", "refracting surfaces: pixsim traces no mirrors"
+            f"{where}: glass",
+            "'MIRROR', a mirror",
+            "refracting surfaces: pixsim does not trace mirrors",
         )
 
     if six_digit_glass := code_glass(value):
@@ -1044,8 +1046,8 @@ def _new_surface(path: Path, line: _Line, blocks: dict[int, _Block]) -> _Block:
         is_second = number in blocks
         raise invalid(
             f"'{path}', line {line.number}",
-            f"SURF {number} a second time" if is_second else "SURF without a number",
-            "SURF with the number of each surface, from 0, once",
+            f"a second SURF {number}" if is_second else "SURF without a number",
+            "one SURF line for each surface, numbered from 0",
         )
 
     if len(blocks) > _MAX_SURFACES + 1:
@@ -1330,7 +1332,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
 
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
-            expected = "refracting surfaces: pixsim traces no mirrors"
+            expected = "refracting surfaces: pixsim does not trace mirrors"
             yield invalid(f"{where}, line {glass.number}: GLAS", "'MIRROR', a mirror", expected)
 
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
@@ -1374,7 +1376,7 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
         has_extra_data = any(_zmx_number(where, term, 1, 0.0) for term in block.all("XDAT"))
         if has_parameters or not has_extra_data:
             place = "with terms in both PARM and XDAT" if has_extra_data else "without XDAT"
-            got = f"{kind} {place}, which programs read in several ways"
+            got = f"{kind} {place}, which programs read in different ways"
             expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
             yield invalid(where, got, expected, "Save the lens again in OpticStudio.")
 
@@ -1605,18 +1607,18 @@ def _zmx_aperture(path: Path, head: _Block, stop: Surface) -> tuple[Aperture, fl
         return kind, _zmx_number(where, line)
     if line := head.first("OBNA"):
         if _zmx_number(where, line, 1, 0.0):
-            got = "OBNA of an angle"
+            got = "OBNA with an angle"
             raise invalid(
                 f"{where}, line {line.number}",
                 got,
-                "OBNA with 0: the numerical aperture, or ENPD or FNUM",
+                "OBNA with 0 (a numerical aperture), ENPD or FNUM",
             )
         return "object_numerical_aperture", _zmx_number(where, line)
 
     if head.first("FLOA"):
         if stop.semi_diameter_mm is None:
             raise invalid(
-                f"aperture of {where}", "FLOA, and no DIAM of the stop", "a stop with a size"
+                f"aperture of {where}", "FLOA, but no DIAM for the stop", "a stop with a size"
             )
         return "stop_diameter", 2 * stop.semi_diameter_mm
 
@@ -1665,7 +1667,7 @@ def _zmx_field(path: Path, head: _Block, object_distance: float) -> tuple[FieldO
         if largest and math.isinf(object_distance):
             raise invalid(
                 where,
-                "object heights of an object at infinity",
+                "object heights for an object at infinity",
                 "angles (FTYP 0), or a finite DISZ under SURF 0",
             )
         return "angle_deg", math.degrees(math.atan2(largest, object_distance))
@@ -1687,7 +1689,10 @@ def _zmx_vignetting(path: Path, head: _Block, notes: list[str]) -> tuple[Vignett
         low, high = _COMPRESSIONS
         if not (low <= cx <= high and low <= cy <= high and abs(dx) < 1 and abs(dy) < 1):
             got = f"decentres {dx:g} and {dy:g}, compressions {cx:g} and {cy:g}"
-            allowed = f"decentres below 1 in size, and compressions from {low:g} to {high:g}"
+            allowed = (
+                f"decentres with an absolute value below 1, and compressions from {low:g} to"
+                f" {high:g}"
+            )
             raise invalid(f"'{path}': vignetting factors of field {number}", got, allowed)
 
         # The decentre along the field and across it.

@@ -181,7 +181,7 @@ def disc_pupil(
             f"direction cosines up to {farthest.max():.4g} (sine of the chief ray angle plus"
             " numerical aperture)",
             "below 1, the horizon",
-            "Take a larger f_number or a smaller chief_ray_deg.",
+            "Use a larger f_number or a smaller chief_ray_deg.",
         )
 
     turn = np.radians(azimuth)

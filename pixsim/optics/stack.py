@@ -109,7 +109,7 @@ class Stack:
             )
             hint = (
                 "An ideal lens so near to its photodiode would collect more than étendue allows,"
-                " fill factor · n²/NA². Take a higher stack, or no microlens."
+                " fill factor · n²/NA². Use a higher stack, or no microlens."
             )
             raise invalid("height_um", f"{self.height_um:g}", expected, hint)
 
@@ -340,7 +340,7 @@ def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positiv
     if farthest_um > stack.pitch_um / 2:
         limits.append(
             f"the optimal shift reaches {farthest_um:.3g} µm, more than half of the pitch of"
-            f" {stack.pitch_um:g} µm: take a lens with a smaller chief ray angle, or a lower stack"
+            f" {stack.pitch_um:g} µm: use a lens with a smaller chief ray angle, or a lower stack"
         )
 
     return limits

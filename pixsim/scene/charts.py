@@ -211,7 +211,7 @@ def target(
             "target",
             repr(drawn),
             "a size on the sensor, size_um",
-            "The scene 'target' takes the others.",
+            "The scene 'target' accepts the other sizes.",
         )
     return drawn.texels((height, width), (die_mm, die_mm), (drawn.size_um or 0.0) / 1e3)
 
@@ -260,7 +260,7 @@ def make_chart(
         )
     if target and kind != "target":
         raise invalid(
-            f"chart {', '.join(target)}", f"a value for {kind}", "a value for target only"
+            f"chart {', '.join(target)}", f"a value for {kind}", "no value, except for target"
         )
     return CHARTS[kind](**size, **({} if die_mm is None else {"die_mm": die_mm}), **target)
 
@@ -294,7 +294,7 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
         key = content_hash([content, cache.version_fingerprint()])
     except (TypeError, ValueError):
         raise invalid(
-            "content", value_text(content), "texts, finite numbers, lists and tables"
+            "content", value_text(content), "text, finite numbers, lists and tables"
         ) from None
     label = {cache.ENTRY: cache.entry_label(KIND, key)}
     path = cache.folder() / KIND / f"{key}.exr"

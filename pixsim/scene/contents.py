@@ -471,7 +471,7 @@ def find_surfaces(
 def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Array]:
     """Return the spectra of all BSDFs, neutral ones too. Raises _UnknownError."""
     if nodes_of(state, "Medium"):
-        raise _UnknownError("a medium of unknown spectra")
+        raise _UnknownError("a medium with unknown spectra")
 
     spectra: list[Array] = []
     for index, node in nodes_of(state, "BSDF"):
@@ -479,7 +479,7 @@ def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Arra
         if len(spectra) > _MAX_SPECTRA:
             raise _UnknownError(f"more than {_MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
-            raise _UnknownError(f"a BSDF '{plugin}' of unknown spectra")
+            raise _UnknownError(f"a BSDF '{plugin}' with unknown spectra")
 
         fresnel: list[Array] = []
         if plugin in _METALS:
@@ -887,7 +887,7 @@ def _check_texture(node: Node, name: str, texture: Node) -> None:
     if is_index and (texture.plugin == "srgb" or is_colour_bitmap):
         raise invalid(
             f"{node.plugin}.{name}",
-            f"a colour, of a texture {texture.plugin}",
+            f"a colour, from a texture {texture.plugin}",
             "a number, a spectrum, or a bitmap with raw = true",
             METAL_BY_NAME,
         )
@@ -896,7 +896,7 @@ def _check_texture(node: Node, name: str, texture: Node) -> None:
         raise invalid(
             f"texture '{_file_of(texture)}'",
             f"{_file_of(texture).suffix} with raw = true",
-            "a linear float32 EXR of one channel, as written by pixsim chart",
+            "a linear float32 EXR with one channel, as written by pixsim chart",
         )
 
 

@@ -225,7 +225,8 @@ def _table_that_ends(inspection: Inspection, lamp: Spectrum) -> list[str]:
         if share > NOTED_SHARE:
             warnings.append(
                 f"the light of a lamp {verb} at {end_nm:g} nm, where it is not 0: it is taken"
-                f" as 0 beyond; if it stayed so, {percent(share)} of the electrons would come"
+                f" as 0 beyond; if it stayed at that value, {percent(share)} of the electrons"
+                f" would come"
                 " from there"
             )
     return warnings

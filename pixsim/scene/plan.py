@@ -377,7 +377,7 @@ def make_render_plan(
     and 1.
     """
     if not 0 < tolerance_e < 1:
-        allowed = "above 0 and below 1, a relative error of mean electrons"
+        allowed = "above 0 and below 1, a relative error of the mean electrons"
         raise invalid("tolerance_e", f"{tolerance_e:g}", allowed)
 
     options = [pixel] if isinstance(pixel, Pixel) else pixel or []

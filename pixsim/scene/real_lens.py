@@ -100,7 +100,7 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, tolerance_e: float
         notes.append(Note("image_circle", share=percent(dark, 1), lens=camera.lens.file))
     tolerance = _BLUR_TOLERANCES * tolerance_e  # of the contrast
     if tiling is not None and tiling.error > tolerance:
-        reason = "the film is too coarse for it, and it is left out. Take a finer film"
+        reason = "the film is too coarse for it, and it is left out. Use a finer film"
         if tiling.psf_um:
             reason = (
                 f"its PSFs of {tiling.psf_um:.3g} µm lack up to {percent(tiling.lacking, 1)} of the"

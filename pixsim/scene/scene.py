@@ -276,7 +276,7 @@ class Scene:
         if not self.shows_target:
             raise invalid(
                 "target",
-                f"the chart of '{self.path.name}', which is another",
+                f"the chart of '{self.path.name}', which is a different one",
                 f"a scene whose chart is {_TARGET_FILE}",
             )
         return Target.from_parameters(self.parameters, self.text().defaults)
@@ -490,7 +490,7 @@ def _light_of_white(text: SceneText, luminance: object, lux: object) -> tuple[ob
             ILLUMINANCE,
             f"'{lux}' beside {LUMINANCE}",
             "one of them",
-            "A white diffuser in E lx has E / π cd/m².",
+            "A white diffuser at E lx has a luminance of E / π cd/m².",
         )
     if ILLUMINANCE in text.defaults:
         return None, lux
@@ -545,7 +545,7 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     hint = did_you_mean(unknown[0], allowed)
     settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], unknown[0])]
     if settings and not hint:
-        hint = f"The setting of this name is {' or '.join(settings)}, beside the scene."
+        hint = f"The setting with this name is {' or '.join(settings)}, beside the scene."
     raise invalid("scene parameter", f"'{unknown[0]}'", ", ".join(sorted(allowed)), hint)
 
 
@@ -627,7 +627,7 @@ def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_whit
     lamp = find_lamp(unit, scene.choice.reading)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
         got = f"{value:g}, but the luminance of the emitters is unknown"
-        raise invalid(LUMINANCE, got, "emitters of one spectrum, above 0")
+        raise invalid(LUMINANCE, got, "emitters that share one spectrum and are brighter than 0")
 
     scale = value / lamp.luminance_cd_per_m2
     white_cd_per_m2 = scene.white_cd_per_m2
@@ -714,7 +714,7 @@ def _check_supported(state: Tree) -> None:
                 raise invalid(
                     f"{node.plugin}.{name}",
                     "a spectrum: dispersive glass",
-                    "one index for all wavelengths, as Mitsuba's dielectrics have",
+                    "one index for all wavelengths, as in Mitsuba's dielectrics",
                     "Give the index at 589 nm.",
                 )
 

@@ -125,7 +125,7 @@ class Target(Record):
                 "contrast",
                 f"{self.contrast:g}, which changes the light of no film cell by more than"
                 f" {step:.2g}",
-                f"0, or a change of at least {_MIN_STEP:g}, which float32 holds",
+                f"0, or a change of at least {_MIN_STEP:g}, which float32 can represent",
                 "The signal is linear in the contrast: choose a larger one and scale its result, or"
                 " a finer film.",
             )

@@ -22,9 +22,9 @@ _FLOAT_STARTS = _EXR_START, _RADIANCE_START, b"PF", b"Pf"
 _HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
 _MAX_HEAD = 1 << 12
 METAL_BY_NAME = (
-    'Name a metal, as <string name="material" value="Au"/>, or write its index as a <spectrum>: of'
-    " an RGB colour Mitsuba would make a reflectance, which no index is (gold would reflect 30 to"
-    " 47 % too little)."
+    'Name a metal, as <string name="material" value="Au"/>, or write its index as a'
+    " <spectrum>: Mitsuba would convert an RGB colour to a reflectance, which is not an index (gold"
+    " would reflect 30 to 47 % too little)."
 )
 # of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not
 # by half

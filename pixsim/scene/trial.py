@@ -73,7 +73,7 @@ def trial_render(variant: str | None = None, *, limit_s: float) -> Trial:
         fault = "fails"
         if done.returncode < 0:
             name = signal.Signals(-done.returncode).name
-            fault = f"dies of signal {-done.returncode} ({name})"
+            fault = f"ends with signal {-done.returncode} ({name})"
         last_line = done.stderr.strip().splitlines()[-1:]
         return Trial(": ".join([fault, *last_line]), seconds)
     facts = json.loads(done.stdout.splitlines()[-1])

@@ -188,7 +188,7 @@ def _camera_curves(name: str, letters: tuple[str, ...]) -> Curves:
             "pixel.colour.sensitivities",
             f"'{name}', which has no channel {missing[0]}",
             f"channels {', '.join(channels[:-1])} and {channels[-1]}",
-            "Give their responses by a CSV file with a column for each letter.",
+            "State the responses in a CSV file with a column for each letter.",
         )
     return {
         letter: tuple(zip(nm.tolist(), values[:, channels.index(letter)].tolist(), strict=True))

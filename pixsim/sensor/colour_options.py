@@ -174,7 +174,7 @@ class ColourOptions(Record):
         if rows is not None and not is_cell(rows):
             raise ValueError(f"matrix = {list(rows)}; allowed: {ALLOWED_CELL}")
         if self.binning and not binned_cell(self.unit_cell):
-            hint = "allowed: binning of 2 x 2 pixels of the same letter, as quad_rggb has them"
+            hint = "allowed: binning of 2 x 2 pixels with the same letter, as in quad_rggb"
             name = "matrix" if self.matrix else "pattern"
             raise ValueError(
                 f"binning = true with {name} of the unit cell {', '.join(self.unit_cell)}; {hint}"

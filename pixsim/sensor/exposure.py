@@ -53,8 +53,8 @@ class Exposure(Record):
         description=(
             "amplification before the ADC; at 0 dB the codes above the black level span the full"
             " well, unless [pixel] states gain_e_per_dn, dn_per_e or adc_full_scale_e. auto raises"
-            " it, up to max_gain_db, where the exposure time does not bring the brightest pixel to"
-            " well_target"
+            " it, up to max_gain_db, if the exposure time alone cannot bring the brightest pixel"
+            " to well_target"
         ),
     )
     max_gain_db: GainDb = Field(24.0, description="largest gain of gain_db = 'auto'")

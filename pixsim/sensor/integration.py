@@ -657,10 +657,11 @@ def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array
     share = float(weight[(wavelength_nm < low) | (wavelength_nm > high)].sum() / weight.sum())
     if share > _UNKNOWN_SHARE:
         words = (
-            f"{percent(share, 1)} of the electrons are of light outside {low:.4g} to {high:.4g} nm,"
+            f"{percent(share, 1)} of the electrons come from light outside {low:.4g} to {high:.4g}"
+            f" nm,"
             f" where the glasses of '{camera.lens.file}' are not known: it is blurred with the"
-            " wavefronts of the nearest of these. An infrared filter (pixel.infrared_cut_nm) keeps"
-            " it out"
+            f" wavefronts at the nearest known wavelength. An infrared filter"
+            f" (pixel.infrared_cut_nm) blocks it"
         )
         warn(Note("spectral_range", words=words))
 

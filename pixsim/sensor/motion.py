@@ -516,7 +516,7 @@ def border_with_motion_um(
         if motion.margin_um is None:
             got = f"a path of up to {2 * margin_um:.4g} µm on the sensor"
         allowed = (
-            "one that leaves something to score, a path below"
+            "a path that leaves something to score, below"
             f" {max(0.0, die_side_um - 2 * border_um):.4g} µm, twice its margin"
         )
         hint = (

@@ -389,8 +389,8 @@ def _fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name:
         hint = ""
         if missing := ", ".join(pixel.assumed):
             hint = (
-                f"No technology was chosen: the default would supply {missing}. Give {missing}, and"
-                " the pixel needs none."
+                f"No technology was chosen: the default would supply {missing}. If you give"
+                f" {missing}, the pixel needs no technology."
             )
         raise invalid(name, f"{pitch_um:g}", allowed, hint)
     return fill_factor
@@ -531,7 +531,7 @@ def absorbed_efficiency(
         raise invalid(
             "pixel.quantum_efficiency",
             got,
-            f"at most {absorbed:.3g}, so that no wavelength has more than 1",
+            f"at most {absorbed:.3g}, so that no wavelength exceeds 1",
             hint,
         )
     return quantum_efficiency * (absorbed_share(wavelength_nm, depth_um) / absorbed)
@@ -1051,12 +1051,17 @@ def _hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, flo
             name = "pixel.hot_pixel_fraction"
         got = f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0"
         allowed = "hot pixels that differ from the others"
-        hint = "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out."
+        hint = (
+            "Give hot_pixel_median and hot_pixel_spread, such as 30 and 1, or leave the fraction"
+            " out."
+        )
         raise invalid(name, got, allowed, hint)
 
     if stated and "hot_pixel_fraction" not in stated and not fraction:
         got = "no hot_pixel_fraction with it"
-        raise invalid(f"pixel.{stated[0]}", got, "both", "Give hot_pixel_fraction, as 0.001.")
+        raise invalid(
+            f"pixel.{stated[0]}", got, "both", "Give hot_pixel_fraction too, such as 0.001."
+        )
     return fraction, median, spread
 
 
@@ -1155,7 +1160,7 @@ def _check_colour(pixel: Pixel, technology: Technology) -> None:
         channel_efficiency(colour, letter, np.array([]), np.array([]))
     if colour.binning and technology.junction is not None:
         got = f"true for {technology.name}, a 3T pixel, whose charge stays on its photodiode"
-        hint = "Take pixel.technology = '4t-bsi', or leave binning out."
+        hint = "Use pixel.technology = '4t-bsi', or leave binning out."
         raise invalid("pixel.colour.binning", got, "4T pixels and data sheets", hint)
 
 

@@ -51,8 +51,9 @@ def pixel_notes(
             end_nm, last = curve[-1]
             filter_nm = setting("pixel.infrared_cut_nm", end_nm)
             text = (
-                f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so,"
-                f" {percent(share)} of the electrons would come from there. Extend the table, or"
+                f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed at"
+                f" that value, {percent(share)} of the electrons would come from there. Extend the"
+                f" table, or"
                 f" state a filter ({filter_nm})"
             )
             notes.append(Note("spectral_range", words=text))

@@ -242,7 +242,7 @@ class PixelOptions(Record):
     ] = Field(
         None,
         description=(
-            "full well: charge that the pixel holds; it gives the highest ADC code, unless"
+            "full well: charge that the pixel holds; it corresponds to the highest ADC code, unless"
             " gain_e_per_dn is given"
         ),
     )

@@ -172,7 +172,12 @@ def _cell_of(levels: Array) -> Array:
         if np.array_equal(_tiled(levels[:rows, :columns], levels.shape), levels):
             return levels[:rows, :columns]
     allowed = f"cells of up to {_MAX_CELL} × {_MAX_CELL} that repeat"
-    raise invalid("black_level_dn", "another one for each pixel", allowed, "Subtract it before.")
+    raise invalid(
+        "black_level_dn",
+        "a different value for each pixel",
+        allowed,
+        "Subtract the black levels first.",
+    )
 
 
 def _tiled(cell: Array, shape: tuple[int, ...]) -> Array:
@@ -443,7 +448,7 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
         raise invalid(
             f"channels of '{path}'",
             got,
-            "one: digital numbers or luminance; or a picture of R, G and B",
+            "one channel of digital numbers or luminance, or a picture with R, G and B",
         )
     metadata = {name: header[name] for name in (*FACTS, LAYOUT) if name in header}
     decimals = {
@@ -619,8 +624,8 @@ def _let_pillow_open_mosaics() -> None:
 def _pages_text(path: Path) -> str:
     """Return the note on a file of several pictures."""
     return (
-        f"'{path}' has several pages: the first is read. Save the others as files of their own to"
-        " read them"
+        f"'{path}' has several pages: the first is read. Save the others as separate files to read"
+        f" them"
     )
 
 
@@ -674,8 +679,8 @@ def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
         cell = _black_levels_of_tags(tags)
         if cell is None:
             words = (
-                f"'{path}' states black levels that fit no cell (BlackLevelRepeatDim) of its"
-                " pixels: they are not used"
+                f"'{path}' states black levels whose cell (BlackLevelRepeatDim) does not fit its"
+                f" pixels: they are not used"
             )
             warn(Note("file_as_read", words=words))
         else:

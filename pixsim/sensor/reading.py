@@ -123,7 +123,7 @@ class Readout:
                 "exposure.frames",
                 got,
                 f"sums of at most {MAX_CODE_BITS} bits",
-                "Take fewer exposures or bits.",
+                "Use fewer exposures or bits.",
             )
 
     @classmethod

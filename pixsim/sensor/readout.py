@@ -857,7 +857,7 @@ def _frame(
             "dn_per_e",
             f"{dn_per_e}",
             "a finite number",
-            "Take a larger full well, or more electrons per DN.",
+            "Use a larger full well, or more electrons per DN.",
         )
     return Frame(
         dn=dn,

@@ -153,5 +153,5 @@ def _spread(entry: object, value: object, where: str, name: str) -> Spread:
             where, f"range = [{low:g}, {high:g}]", f"low <= {value:g} (the number) <= high"
         )
     if spread.kind == "lognormal" and value <= 0:
-        raise invalid(where, f"a lognormal distribution of {value:g}", "a number above 0")
+        raise invalid(where, f"a lognormal distribution for {value:g}", "a number above 0")
     return spread

@@ -125,7 +125,7 @@ def pixsim_style() -> Iterator[None]:
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE) and not os.path.isfile(RC_FILE):
         raise invalid(
             RC_FILE,
-            "a link to nothing, a pipe or a device in the current folder",
+            "a broken link, a pipe or a device in the current folder",
             "a file, or none",
             "Move it away.",
         )

@@ -116,9 +116,9 @@ def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
         raise invalid("results", f"'{folder}' without {', '.join(RESULTS)}", allowed)
     if (version := version_of_files(folder)) != VERSION:
         if version:
-            got = f"'{folder}', of pixsim {version}"
+            got = f"'{folder}', from pixsim {version}"
         else:
-            got = f"'{folder}', of an unknown version of pixsim"
+            got = f"'{folder}', from an unknown version of pixsim"
         raise invalid("results", got, f"results of pixsim {VERSION}", _MAKE_AGAIN)
     if not (folder / ROWS_FILE).is_file():
         hint = (
@@ -279,9 +279,11 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
     first = _read_folder(a)
     other = _read_folder(b)
     if first.kind != other.kind:
-        raise invalid("results", f"a {first.kind} and a {other.kind}", "two results of one kind")
+        raise invalid(
+            "results", f"a {first.kind} and a {other.kind}", "two results of the same kind"
+        )
     if light_differences := list(_light_differences(first, other)):
-        hint = "Compare sensors in one light: pixsim compare A.toml B.toml."
+        hint = "Compare sensors in the same light: pixsim compare A.toml B.toml."
         got = f"two results that differ in {'; '.join(light_differences)}"
         raise invalid("results", got, "results of the same light and streams", hint)
     shared = [place for place in first.rows if place in other.rows]
@@ -690,7 +692,7 @@ def _differences_of_types(
             uncertain[other] = result.groups_of_pair(other)
         else:
             words = (
-                f"{first} and {other}: nothing is drawn, since no number of these two is unknown"
+                f"{first} and {other}: nothing is drawn, since these two have no unknown numbers"
             )
             warn(Note("no_effect", words=words))
     base: dict[tuple[object, str], RenderedCase] = {}

@@ -206,7 +206,7 @@ class Curve(Result):
             return self
         if metric not in self.optima:
             raise invalid(
-                "metric", f"'{metric}'", f"one with a best size: {', '.join(self.optima)}"
+                "metric", f"'{metric}'", f"a metric with a best size: {', '.join(self.optima)}"
             )
         first = next(other for other in self.metrics if other.name == metric)
         further_fits = {name: fit for name, fit in self.fits.items() if name != metric}

@@ -158,7 +158,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
                 f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
             )
             hint = (
-                "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens"
+                "Leave out larger ones, raise pixel.stack.height_um, or set pixel.stack.microlens"
                 " = 'none'."
             )
             raise invalid(
@@ -182,12 +182,12 @@ def study_pitches_um(study: Study, technology: str) -> Array:
                 "pitch.min_um",
                 got,
                 expected,
-                "A data sheet has no fill factors, from which it would follow.",
+                "A data sheet has no fill factors from which to derive it.",
             )
         low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= largest_um:
-        hint = "Raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+        hint = "Raise pixel.stack.height_um, or set pixel.stack.microlens = 'none'."
         raise invalid(
             "pitch",
             f"sizes from {low:.4g} µm, {source}",

@@ -97,7 +97,7 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
     """Provide local or cluster workers.
 
     jobs : local processes. None means one per core
-    scheduler : address of a Dask scheduler, as tcp://host:8786, or a distributed.Client, which
+    scheduler : address of a Dask scheduler, such as tcp://host:8786, or a distributed.Client, which
         stays open
 
     Raises PixsimError if both are given, jobs is below 1, or the cluster is unreachable, has no
@@ -133,7 +133,7 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
             raise invalid(
                 "--scheduler",
                 got,
-                "the address of a running Dask scheduler, as tcp://host:8786",
+                "the address of a running Dask scheduler, such as tcp://host:8786",
                 hint,
             ) from None
         with closing(client):
@@ -163,7 +163,7 @@ def _checked_workers(client: Client) -> Workers:
             raise invalid(
                 "--scheduler",
                 f"{worker_version} at {address}",
-                f"{version}, as here, so that all rows are comparable",
+                f"{version}, the version here, so that all rows are comparable",
             )
     return Workers(client=client)
 

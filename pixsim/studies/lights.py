@@ -267,7 +267,7 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
                 setting("metric.detectability.without"),
                 f"{', '.join(unknown)}, which {request.scene.path.name} does not have",
                 f"parameters of the scene ({', '.join(sorted(scene_names))}), or a scene",
-                "Take the scene target, or state another scene without the target.",
+                "Use the scene target, or state another scene without the target.",
             )
         scene = request.scene.with_parameters(**stated)
 
@@ -275,8 +275,8 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
     image, noise = request.render(scene, request.plan_of(scene))
     if noise.relative > 0:
         words = (
-            f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs"
-            " without the target counts as signal"
+            f"the light has render noise of {100 * noise.relative:.2g} %: its difference between"
+            f" the light with and without the target counts as signal"
         )
         warn(Note("render_noise", words=words))
     return image

@@ -248,7 +248,9 @@ def uncertainty_request(
     above 0.
     """
     if uncertainty is not None and sobol is not None:
-        raise invalid(setting("uncertainty"), f"with {setting('sobol')}", "one of the two")
+        raise invalid(
+            setting("uncertainty"), f"a value together with {setting('sobol')}", "one of the two"
+        )
     draws = uncertainty if sobol is None else sobol
     if draws is not None:
         for size_um in smaller_than_um:
@@ -257,7 +259,9 @@ def uncertainty_request(
         return UncertaintyRequest(draws, sobol is not None, tuple(smaller_than_um), spreads)
     if smaller_than_um:
         got = f"without {setting('uncertainty')}"
-        raise invalid(setting("smaller_than_um"), got, f"{setting('uncertainty', 'N')} beside it")
+        raise invalid(
+            setting("smaller_than_um"), got, f"{setting('uncertainty', 'N')} together with it"
+        )
     return None
 
 
@@ -414,7 +418,7 @@ def choose_view(
     left out. `with_view` completes settings with the view.
 
     camera : of the window that is simulated
-    scene : None for a picture of another program
+    scene : None for a picture from another program
 
     Raises PixsimError if not one pixel fits on the die.
     """
@@ -586,8 +590,8 @@ def _smallest_size_um(study: Study, camera: Camera, low_um: float | None) -> flo
             f"Set --pitch.min-um {min_um:g}, or --window.",
         )
     reason = (
-        f"it has {amount(max_pixels)} pixels on the die; smaller ones: --pitch.min-um, or a part"
-        " of the die by --window"
+        f"it has {amount(max_pixels)} pixels on the die; for smaller ones, set --pitch.min-um, or"
+        f" --window for a part of the die"
     )
     warn(_range_note("smallest pixel size", min_um, smallest_um, reason))
     return min_um
@@ -605,7 +609,7 @@ def _check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
     if count > MAX_PIXELS:
         smallest_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
-        hint = "Or take a part of the die: --window."
+        hint = "Or use a part of the die: --window."
         raise invalid(
             name,
             f"{pitch_um:g}, which makes {amount(count)} pixels",
@@ -721,7 +725,7 @@ def check_given_light(**settings: object) -> None:
     """Raise PixsimError for settings of a scene beside light that is given."""
     names = [name for name, value in settings.items() if value]
     if names:
-        raise invalid(names[0], "a value beside light", "one of the two")
+        raise invalid(names[0], "a value together with light", "one of the two")
 
 
 def check_axis_names(study: Study, metrics: Sequence[Metric], *labels: str) -> None:

@@ -124,7 +124,7 @@ def _start_value(settings: Run, source: Scene | object) -> float | None:
     if not isinstance(source, Scene):
         raise invalid(
             setting(_SOLVE_FOR),
-            f"'{name}' for a picture of another program",
+            f"'{name}' for a picture from another program",
             "a parameter of a scene that pixsim renders",
         )
     stated = settings.scene.get(name, source.text().defaults.get(name))
@@ -134,12 +134,12 @@ def _start_value(settings: Run, source: Scene | object) -> float | None:
         start = math.nan
     if not math.isfinite(start) or not start:
         value = "no value" if stated is None else f"the value {stated}"
-        got = f"'{name}', of which {value} is stated"
+        got = f"'{name}', whose value is {value}"
         allowed = (
             f"a parameter of {source.path.name} with a number other than 0, from which the search"
             " starts"
         )
-        hint = f"As contrast, size_mm or lux: {parameter('lux', '100')}."
+        hint = f"For example contrast, size_mm or lux: {parameter('lux', '100')}."
         raise invalid(setting(_SOLVE_FOR), got, allowed, hint)
     return start
 
@@ -418,7 +418,7 @@ def _check_scene_options(file: str, settings: Run, sensor: str | None, variant: 
         values[f"--{option} ({name})"] = getattr(settings, name)
     stated = ", ".join(words for words, value in values.items() if value)
     if stated:
-        hint = "Take them out of a settings file of the scene, too."
+        hint = "Remove them from the scene's settings file, too."
         raise invalid(stated, f"'{file}', a picture", "a Mitsuba scene, or none of these", hint)
 
 

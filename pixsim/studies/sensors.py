@@ -261,7 +261,7 @@ def _read_sensors(
         ]
         if unused:
             tables = ", ".join(f"[{name}]" for name in SENSOR_TABLES)
-            reason = f"only {tables} are used of it, and else the first file"
+            reason = f"only its {tables} are used; all other settings come from the first file"
             warn(Note("not_used", setting=f"{file}: {', '.join(unused)}", reason=reason))
         sensors.append(Case(run, sensor=label, file=file))
     return sensors

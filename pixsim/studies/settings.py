@@ -1105,7 +1105,7 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
         elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
             unused = [f"[{table}]" for table in layer.table if table != "pixel"]
             if unused:
-                reason = "of a sensor among technologies, only [pixel] is used"
+                reason = "only [pixel] is used from a sensor's file among the technologies"
                 warn(Note("not_used", setting=f"{name}: {', '.join(unused)}", reason=reason))
             sheet = [
                 Layer({"pixel": study.get("pixel", {})}),

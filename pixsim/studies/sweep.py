@@ -259,7 +259,7 @@ def _pixels_by_name(pixels: Mapping[str, Pixel] | Sequence[Pixel]) -> Mapping[An
         fault = name_fault(name) if name else "is empty"
         if fault:
             got = f"a name that {fault}: {name!r:.80}"
-            raise invalid("pixels", got, "names for a column of a table")
+            raise invalid("pixels", got, "names that are valid as table columns")
     return by_name
 
 

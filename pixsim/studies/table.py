@@ -285,10 +285,10 @@ class Store:
             if version:
                 which = f"of pixsim {version}"
             else:
-                which = "of other settings, or of another version of pixsim"
+                which = "from other settings, or from another version of pixsim"
             then = (
-                ", and they are computed again; only the settings and the version that wrote them"
-                " continue them"
+                ", and they are computed again; only the same settings and version can continue"
+                " them"
             )
             warn(
                 Note(

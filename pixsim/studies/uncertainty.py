@@ -211,7 +211,7 @@ class Unknown:
     def __post_init__(self) -> None:
         if self.spread.kind == "lognormal" and self.value <= 0:
             raise invalid(
-                self.name, f"a lognormal distribution of {self.value:g}", "a number above 0"
+                self.name, f"a lognormal distribution for {self.value:g}", "a number above 0"
             )
         low, high = self.cut
         share = high - low
@@ -363,7 +363,7 @@ def unknowns_of_sheet(
             low, high = spread.range or (value, value)
             got = f"range = [{low:g}, {high:g}]"
             hint = "Give the uncertainty of that number."
-            raise invalid(key, got, f"a range that holds {value:g}", hint)
+            raise invalid(key, got, f"a range that contains {value:g}", hint)
         unknowns.append(
             Unknown(
                 name, float(value), spread, technology, _bounds_of(pixel, name), is_data_sheet=True

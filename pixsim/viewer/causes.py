@@ -215,10 +215,11 @@ def _contrast_cause(low: float, high: float, white: str) -> Cause | None:
         return None
     hint = "its mean ΔE comes from noise and offsets alone; judge a sensor by a scene with detail"
     if high < _SEEN_LIGHTNESS:
-        hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
+        hint = f"it is entirely black: lower {white}, or choose a brighter part of the scene"
     elif low > _BLACK_TO_WHITE_DELTA_E - _SEEN_LIGHTNESS:
         hint = (
-            f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
+            f"it is entirely display white: choose a scene with detail, or raise {white} if it"
+            f" clips"
         )
     return Cause(
         f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}",

@@ -386,8 +386,8 @@ def _check_room(chain: ImagingChain, image_motion: ImageMotion) -> None:
         )
         if is_one_to_one:
             hint = (
-                "With display.raster = 'one_to_one' all pixels are scored; take 'fixed_size',"
-                f" or {slower}."
+                "With display.raster = 'one_to_one' all pixels are scored; use 'fixed_size', or"
+                " {slower}."
             )
         raise invalid("motion", got, allowed, hint)
 

@@ -361,7 +361,10 @@ def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
     if len(sensitivities) != nm.size or sensitivities.shape[1] < 3:
         allowed = f"({nm.size}, channels), three channels or more"
         raise invalid(
-            "sensitivities, shape", sensitivities.shape, allowed, "Move the channels last."
+            "sensitivities, shape",
+            sensitivities.shape,
+            allowed,
+            "Put the channels in the last axis.",
         )
     largest = sensitivities.max()
     if not largest > 0:

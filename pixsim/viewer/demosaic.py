@@ -401,7 +401,7 @@ def _check_method(cell: Sequence[str], method: Method) -> None:
     """Raise PixsimError if a method cannot demosaic a unit cell."""
     if method != "interpolate" and tuple(cell) not in BAYER.values():
         hint = (
-            "Take 'interpolate', which works for any pattern; bin a quad pattern first to make it a"
+            "Use 'interpolate', which works for any pattern; bin a quad pattern first to make it a"
             " Bayer pattern."
         )
         raise invalid(

@@ -194,7 +194,7 @@ def measure_colour_chart(
         got = f"XYZ of {white_xyz.tolist()}"
         if dark_channels:
             got = f"channel {dark_channels[0]} without response to it"
-        allowed = "light that all channels, and all three cones, respond to"
+        allowed = "light to which all channels and all three cones respond"
         raise invalid(f"colour under {name}", got, allowed)
 
     responses = (electrons[None] * reflectance[:, None]).sum(axis=(2, 3)) / white_e

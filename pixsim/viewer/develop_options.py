@@ -36,7 +36,7 @@ _MAX_TONE_ROWS = 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
 _ToneRow = tuple[Annotated[float, Field(ge=0, le=_MAX_TONE_LIGHT)], UnitInterval]
 _ToneTable = tuple[_ToneRow, ...]
-_FUNCTION_HINT = "a user's function can be set in Python only: develop={'denoise': my_function}"
+_FUNCTION_HINT = "a function can be set in Python only: develop={'denoise': my_function}"
 
 
 def _as_gains(value: object) -> object:

@@ -95,7 +95,9 @@ class Development:
         except PixsimError as error:
             message = f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}"
             if self.collection is not None:
-                message += " Light between neighbours counts: larger pixels mix the channels less."
+                message += (
+                    " Crosstalk between neighbours matters: larger pixels mix the channels less."
+                )
             raise type(error)(message) from None
 
     def _fitted_matrix(self) -> Array:

@@ -218,7 +218,7 @@ def white_rate(
         allowed = f"light to which both the sensor and the eye respond, {low:g} to {high:g}"
         hint = (
             "Choose a lamp within the sensor's response, or another technology or infrared cut."
-            " The white of light that nobody sees is a radiance"
+            " For light that the eye does not see, state the white as a radiance"
             f" ({setting('display.white_w_per_m2_sr')})."
         )
         raise invalid("the scene's white", got, allowed, hint)
@@ -729,5 +729,7 @@ def out_of_gamut_share(rgb: Array) -> float:
 def _planes_of(rgb: Array) -> Array:
     """Return the planes of colours (..., 3), first. Raises PixsimError for another shape."""
     if rgb.shape[-1:] != (3,) or not rgb.size:
-        raise invalid("rgb, shape", rgb.shape, "(..., 3), not empty", "Move the three values last.")
+        raise invalid(
+            "rgb, shape", rgb.shape, "(..., 3), not empty", "Put the three values in the last axis."
+        )
     return np.moveaxis(rgb, -1, 0)

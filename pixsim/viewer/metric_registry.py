@@ -58,7 +58,7 @@ def installed_metric(entry: metadata.EntryPoint) -> Metric:
             f"'{entry.name}' of the package {package}, which fails ({type(error).__name__}:"
             f" {one_line(str(error), 200)})"
         )
-        raise invalid("metrics", got, "an entry point that is a function of a Score") from None
+        raise invalid("metrics", got, "an entry point that names a function of a Score") from None
 
 
 def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
@@ -78,7 +78,7 @@ def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
         elif name in (installed := _installed_metrics()):
             metric = installed_metric(installed[name])
         else:
-            function_hint = "A function of your own is given in Python: metrics=[…, my_metric]."
+            function_hint = "Give your own function in Python: metrics=[…, my_metric]."
             hint = f"{did_you_mean(name, [*METRICS, *installed])} {function_hint}".strip()
             raise invalid(
                 "metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint
@@ -86,11 +86,11 @@ def metrics_named(names: Sequence[_NameOrFunction]) -> tuple[Metric, ...]:
         if metric.code and metric.name in _RESERVED_NAMES:
             raise invalid(
                 "metrics",
-                f"a function '{metric.name}', which is a name of pixsim's",
+                f"a function '{metric.name}', whose name pixsim uses itself",
                 "another name for the function",
             )
         if metric.name in metrics:
-            raise invalid("metrics", f"'{metric.name}' twice", "metrics of different names")
+            raise invalid("metrics", f"'{metric.name}' twice", "metrics with different names")
         metrics[metric.name] = metric
     if not metrics:
         raise invalid("metrics", "none", f"at least one of {', '.join(METRICS)}")

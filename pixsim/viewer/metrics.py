@@ -203,7 +203,7 @@ def user_metric(function: Callable[[Score], float], name: str = "") -> Metric:
         raise invalid(
             "metrics",
             f"{function!r:.80}",
-            "a named function, not a lambda: its name becomes that of a column",
+            "a named function, not a lambda: its name becomes the name of a column",
         )
     better: Literal["less", "more"] = getattr(function, "better", "less")
     if better not in ("less", "more"):

@@ -473,7 +473,7 @@ def _check_rounding(readout: Readout, variance_e2: float) -> None:
         f"noise of {sigma_dn:.2g} DN in pixels of {readout.physics.pitch_um:g} µm, which the ADC"
         " rounds away"
     )
-    hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
+    hint = "Use more bits (pixel.bits) or more gain (exposure.gain_db)."
     allowed = f"at least {_MIN_SIGMA_DN:g} DN, so that rounding is noise"
     raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
 
@@ -869,7 +869,7 @@ def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
         saturation_e=readout.saturation_e,
     )
     if illuminance_lx is None:
-        got = f"pixels of {readout.physics.pitch_um:g} µm, which have it in no light"
+        got = f"pixels of {readout.physics.pitch_um:g} µm, which never reach it"
         allowed = f"pixels that reach an SNR of {options.snr:g} per dot"
         raise NoNumberError(
             str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr."))
@@ -925,9 +925,7 @@ def _niirs(under_test: FrameUnderTest) -> tuple[float]:
             f" {readout.physics.pitch_um:g} µm, full at {rounded(saturation_e, 3)} e-"
         )
         allowed = "surfaces that the frame distinguishes"
-        raise NoNumberError(
-            str(invalid("the metric niirs", got, allowed, "Expose it for less time."))
-        )
+        raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Shorten the exposure.")))
 
     noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))
     noise_e2 += _line_variance_e2(readout)

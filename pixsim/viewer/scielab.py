@@ -72,7 +72,7 @@ def _checked_triples(
             f"{name}, shape",
             array.shape,
             allowed,
-            "Move the three values last, y and x before them.",
+            "Put the three values in the last axis, after y and x.",
         )
     return array
 

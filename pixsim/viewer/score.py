@@ -19,7 +19,7 @@ from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics
 from pixsim.viewer.display_options import Display
 
 _FloatOrNaN = Annotated[float, Bounds(unknown=True)]
-NOTHING = "the frame tells nothing"
+NOTHING = "the frame contains no information"
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Cause:
 
     @property
     def is_uninformative(self) -> bool:
-        """Whether the frame tells nothing of the light."""
+        """Whether the frame contains no information about the light."""
         return self.words.startswith(NOTHING)
 
     def as_dict(self) -> dict[str, Any]:

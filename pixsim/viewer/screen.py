@@ -261,7 +261,7 @@ def check_one_ideal(grey: Sequence[str], coloured: Mapping[str, Array]) -> None:
             " coloured scene"
         )
         hint = (
-            "Take a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image"
+            "Use a grey scene, such as csf, or leave the monochrome sensors out, whose ideal image"
             " is grey."
         )
         raise invalid("sensors", got, "a scene that has one ideal image for all", hint)
@@ -328,7 +328,7 @@ def white_header(views: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, An
         raise invalid(
             f"display.{name}",
             got,
-            f"the scene {quantity} in {unit} shown as white",
+            f"the scene {quantity} shown as white, in {unit}",
             f"Set {setting(f'display.{name}')}.",
         )
     white = _rounded_up(estimate, _WHITE_DIGITS)
@@ -350,16 +350,16 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
     """
     stated = image.header.get(DIFFUSER)
     if stated is None:
-        got = "'diffuser', in light that does not say what a white plate in it shows"
+        got = "'diffuser', but this light does not state the light of a white plate"
         hint = (
             f"State the white: {setting('display.white_cd_per_m2')} or"
             f" {setting('display.white_w_per_m2_sr')}. "
         )
-        hint += "In Python, pixsim.render(…, diffuser=True) makes light that says it."
+        hint += "In Python, pixsim.render(…, diffuser=True) makes light that states it."
         raise invalid("display.white", got, "light of a scene that was rendered for it", hint)
     if DIFFUSER_W not in stated:
         if display.diffuser_reflectance != 1:
-            reason = "white is texel value 1 of the scene's emissive chart, and no plate"
+            reason = "white is texel value 1 of the scene's emissive chart, not a plate"
             warn(Note("not_used", setting="display.diffuser_reflectance", reason=reason))
         return {**stated, "white_from": "texel value 1 of the chart"}
     per_nm = display.diffuser_reflectance * np.array(stated[DIFFUSER_W])

@@ -101,7 +101,7 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
     if imaging.develop.denoise == "wiener_bound":
         got = "develop.denoise = 'wiener_bound', which knows that the patch is uniform"
         allowed = "noise reduction that does not know the picture"
-        hint = "Take 'nlm' or 'wavelet'."
+        hint = "Use 'nlm' or 'wavelet'."
         raise NoNumberError(str(invalid("the metric visual_noise", got, allowed, hint)))
     uniform: Array = np.full(under_test.frame.dn.shape, GREY * development.white_e_per_s)
     flat_field = development.flat_field
@@ -124,7 +124,7 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
             f"at most {percent(_FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise"
             " shows"
         )
-        hint = "Expose it for less time."
+        hint = "Shorten the exposure."
         raise NoNumberError(str(invalid("the metric visual_noise", got, allowed, hint)))
     light = development.light(frame)
     return (visual_noise(light, imaging.display.samples_per_deg),)
@@ -159,7 +159,7 @@ def _npwe(under_test: FrameUnderTest) -> tuple[float, float]:
             f"develop.denoise = '{develop.denoiser}', whose effect on a frame differs from its"
             " effect on the mean"
         )
-        hint = "Take ΔE, or detectability."
+        hint = "Use ΔE, or detectability."
         raise NoNumberError(str(invalid("the metric npwe", got, "linear development", hint)))
     count = under_test.options.detectability.registrations
     tone_factor = 1.0

@@ -100,7 +100,7 @@ def test_graphics_card_gives_finding():
     """A card that does not work is a note with its reason; no card at all is fine."""
     works = doctor._graphics(graphics.GraphicsTrial(None))
     assert (works.mark, works.found) == (OK, "works, and traces by default")
-    fault = "its trial render fails: dies of signal 6 (SIGABRT)"
+    fault = "its trial render fails: ends with signal 6 (SIGABRT)"
     fails = doctor._graphics(graphics.GraphicsTrial(fault))
     assert (fails.mark, fails.found) == (NOTE, f"not used: {fault}")
     absent = doctor._graphics(graphics.GraphicsTrial(graphics.NO_CARD, tried=False))

@@ -139,7 +139,7 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
         ),
         ("400,30\n500,40\n", "In per cent? Divide percentages by 100"),
         ("nm,mA/W\n400,310000\n500,200\n", "In mA/W? Or relative values?"),
-        ("energy (eV),QE\n2.1,0.3\n2.5,0.4\n", "in eV, by its title"),
+        ("energy (eV),QE\n2.1,0.3\n2.5,0.4\n", "in eV, according to its title"),
         ("400,0,3\n500,0,4\n", "commas between columns and within numbers"),
         ("400,-0.1\n500,0.4\n", "-0.1 at 400 nm"),
         ("400,nan\n500,0.4\n", "nan at 400 nm"),
@@ -156,7 +156,7 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
         ("a,b\n1", "line 2"),
         ("400,1\n" * 2, "400 nm followed by 400 nm"),
         ('400,"' + "x" * 200_000, "field larger"),
-        ("4" * 10**6 + ",1", "file of wavelength in nm"),
+        ("4" * 10**6 + ",1", "file with wavelength in nm"),
     ],
 )
 def test_what_cannot_be_a_curve_is_refused_with_the_likely_cause(

@@ -57,7 +57,7 @@ CALLS: list[tuple[str, Callable[[], object], str]] = [
     ("noisy step", lambda: edge_response(DARK + 30 * (distances(5.0, 64, 64) > 0) + 40 * PIXEL_NOISE[:64, :64]), "step of"),
     ("upright", lambda: edge_response(gaussian_edge(0.0)), "from the rows or columns"),
     ("along rows", lambda: edge_response(gaussian_edge(90.4)), "columns, over"),
-    ("small", lambda: edge_response(gaussian_edge()[:20]), "at least 24 a side"),
+    ("small", lambda: edge_response(gaussian_edge()[:20]), "at least 24 pixels per side"),
     ("small mosaic", lambda: edge_response(gaussian_edge()[:40], layout="RG/GB", channel="G"), "for one channel of a mosaic"),
     ("no green", lambda: edge_response(gaussian_edge(), channel="G"), "stands out as green"),
     ("three channels", lambda: edge_response(np.zeros((64, 64, 3))), "one channel of numbers"),
@@ -78,7 +78,7 @@ CALLS: list[tuple[str, Callable[[], object], str]] = [
         for layout in ("RG/GB", "RRGG/RRGG/GGBB/GGBB", "GBGGRG/RGRBGB/GBGGRG/GRGGBG/BGBRGR/GRGGBG")
     ),
     ("a long focus", lambda: pixsim.lens("singlet", focal_length_mm=1e7), "focal_length_mm: got"),
-    ("many wavelengths", lambda: pixsim.lens("singlet", wavelength_nm=[550.0] * 25), "25 of them"),
+    ("many wavelengths", lambda: pixsim.lens("singlet", wavelength_nm=[550.0] * 25), "25 wavelengths"),
     ("a steep field", lambda: pixsim.lens("singlet", field_deg=90.0), "field_deg: got 90"),
     ("a mirror", lambda: pixsim.lens("singlet", reflectance=1.0), "reflectance: got"),
 ]  # fmt: skip
@@ -95,7 +95,7 @@ def test_values(call: Callable[[], object], words: str) -> None:
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("ex1.6.png", "exactly 4095 above black, beside noise"),
+        ("ex1.6.png", "exactly 4095 above black, while the other"),
         ("ex1.6.png --saturation 4095", "49.9 % saturated"),
         ("mild.tif", "looks like a colour mosaic"),
         ("mild.tif --channel R", "--layout RG/GB"),
@@ -105,14 +105,14 @@ def test_values(call: Callable[[], object], words: str) -> None:
         ("mosaic_tagged.tif --channel X", "R, G, B, luminance"),
         ("rgb16.tif --channel 0,1", "R, G, B, luminance"),
         ("rgb16.tif --layout RG/GB", "a mosaic"),
-        ("ex1.0.png --black 5000 --saturation 4095", "more than it"),
+        ("ex1.0.png --black 5000 --saturation 4095", "more than the black level"),
         ("none.exr", "does not exist"),
         ("edge.jpg", ".png"),
         ("two.npz", "a single array"),
         ("grey8.png", "linear in light"),
         ("text.npy", "readable"),
         ("text.png", "readable"),
-        ("rgb.exr", "one: digital numbers"),
+        ("rgb.exr", "one channel of digital numbers"),
         ("edge.npy --region 1,2,3", "x0,y0,x1,y1"),
         ("edge.npy --pitch-um -1", "above 0"),
         ("edge.npy --black-level-dn 2000", "black level is right"),

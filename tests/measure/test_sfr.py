@@ -334,16 +334,16 @@ NOTES: dict[str, tuple[np.ndarray, str]] = {
         "noise or shading: the SFR is",
     ),
     "correlated": (gaussian_edge() + SMOOTH, "correlated"),
-    "waves": (curved_edge(lambda place: 0.5 * np.sin(20 * place)), "no polynomial of degree"),
-    "a bend": (curved_edge(lambda place: 6 * np.abs(place)), "no polynomial of degree"),
-    "shifted rows": (blurred(distances(5.0) + ALTERNATE), "no polynomial of degree"),
+    "waves": (curved_edge(lambda place: 0.5 * np.sin(20 * place)), "follow a polynomial of degree"),
+    "a bend": (curved_edge(lambda place: 6 * np.abs(place)), "follow a polynomial of degree"),
+    "shifted rows": (blurred(distances(5.0) + ALTERNATE), "follow a polynomial of degree"),
     "shifted rows and noise": (
         blurred(distances(5.0) + ALTERNATE) + 5 * PIXEL_NOISE,
-        "no polynomial of degree",
+        "follow a polynomial of degree",
     ),
     "far below black": (gaussian_edge() - DARK - 90, "below black by 10.0 % of the step"),
-    "clipped at both sides": (np.clip(gaussian_edge(), 300, 800), "a kink at both sides"),
-    "a pixel alone": (step(np.clip(distances(5.0) + 0.5, 0, 1)), "a kink at both sides"),
+    "clipped at both sides": (np.clip(gaussian_edge(), 300, 800), "a kink on both sides"),
+    "a pixel alone": (step(np.clip(distances(5.0) + 0.5, 0, 1)), "a kink on both sides"),
     "clipped at black": (
         np.maximum(np.rint(gaussian_edge() - DARK + 8 * PIXEL_NOISE), 0.0),
         "clipped at black",
@@ -389,7 +389,7 @@ CLIPPED: dict[str, tuple[np.ndarray, str]] = {
                 np.rint(gaussian_edge() + noise_dn * PIXEL_NOISE),
                 LIGHT + above * noise_dn - (noise_dn < 1),
             ),
-            "this is clipped",
+            "a side without noise is clipped",
         )
         for noise_dn in (0.5, 1.0, 8.0)
         for above in (0.0, 1.0)

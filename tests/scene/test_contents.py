@@ -306,7 +306,7 @@ VERTEX_COLOURS = (
 )
 INDEX_PICTURE = bitmap("true").replace('name="reflectance"', 'name="eta"')
 UNKNOWN = {
-    "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
+    "principled": (bsdf("principled"), "a BSDF 'principled' with unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),
     "a mesh's colours": (
         bsdf("diffuse", VERTEX_COLOURS),

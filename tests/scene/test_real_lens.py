@@ -188,7 +188,7 @@ def test_light_that_does_not_fit_a_film_cell_is_said() -> None:
     waves = lens.wavefront(np.array([field]), nm, x[inside], y[inside])
     miss_mm = np.maximum(np.abs(waves.x_mm[0]), np.abs(waves.y_mm[0]))
     assert plan.film.tiling.lacking == pytest.approx((miss_mm > 0.125).mean(), abs=0.1)
-    assert any("Take a finer film" in note for note in plan.warnings)
+    assert any("Use a finer film" in note for note in plan.warnings)
 
 
 @pytest.mark.parametrize(("error", "count"), [(0.1, 1), (0.01, 0)])

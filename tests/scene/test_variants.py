@@ -328,7 +328,7 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
 # --- The trial and the choice ---
 
 
-PICTURE, DIES = Trial(None, 5.0), Trial("dies of signal 6 (SIGABRT)", 1.0)
+PICTURE, DIES = Trial(None, 5.0), Trial("ends with signal 6 (SIGABRT)", 1.0)
 
 
 class Machine:
@@ -354,7 +354,7 @@ def machine(tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch) -> Ma
     return Machine(tmp_path, library, monkeypatch)
 
 
-@pytest.mark.parametrize(("picture", "fault"), [(PICTURE, "None"), (DIES, "dies of signal 6")])
+@pytest.mark.parametrize(("picture", "fault"), [(PICTURE, "None"), (DIES, "ends with signal 6")])
 def test_trial_is_taken_once(picture: Trial, fault: str, machine: Machine) -> None:
     """Its result holds, whatever a second trial would find; the doctor takes a second one."""
     machine.picture = picture

@@ -266,7 +266,7 @@ def test_black_levels_of_each_place_of_the_cell_are_read(photometric: int, tmp_p
 def test_black_levels_that_fit_no_cell_are_named(size: dict[str, Any], tmp_path: Path) -> None:
     tags = {"t50714": (3, [1, 2, 3, 4])} | size
     tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 1, **tags)
-    with pytest.warns(UserWarning, match="black levels that fit no cell"):
+    with pytest.warns(UserWarning, match="black levels whose cell"):
         assert read_frame(tmp_path / "raw.tif").black_level_dn is None
 
 

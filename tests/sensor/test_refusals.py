@@ -254,7 +254,7 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
     "pitch without a photodiode": (lambda: derive(Pixel(pitch_um=5.0)), "5.13.*transistors"),
     "pitch of an unfinished data sheet": (
         lambda: derive(Pixel(pitch_um=2.0, full_well_e=1e4, read_noise_e=2.0)),
-        "Give dark_current_e_per_s, quantum_efficiency",
+        "give dark_current_e_per_s, quantum_efficiency",
     ),
     "fill factor beyond the limit": (
         lambda: pitch_for_fill_factor_um(0.826, T035),

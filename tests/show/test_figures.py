@@ -140,7 +140,7 @@ def test_a_matplotlibrc_of_the_current_folder(what: str, who: str, tmp_path: Pat
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S)
     if (what, who) == ("a pipe", "library"):
         assert (
-            "PixsimError: matplotlibrc: got a link to nothing, a pipe or a device in the current"
+            "PixsimError: matplotlibrc: got a broken link, a pipe or a device in the current"
             " folder" in done.stderr
         )
     else:

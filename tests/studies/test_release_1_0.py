@@ -41,7 +41,7 @@ FILES = "provenance.json"  # the list of a folder's files, with the version that
             [r"the rows of .*results.csv. are of pixsim 1.0.0. The file is kept as .results"],
         ),
         # An interrupted study has no list yet.
-        ("", [r"are of other settings, or of another version of pixsim\. The file is kept as"]),
+        ("", [r"are from other settings, or from another version of pixsim\. The file is kept as"]),
         (pixsim.__version__, []),
     ],
 )

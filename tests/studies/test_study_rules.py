@@ -87,7 +87,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
     "a lambda": (lambda: score(lambda score: 1.0), "a named function"),
     "a metric twice": (lambda: score(metric(), metric()), "'mine' twice"),
     "an unknown metric": (lambda: score("sharpness"), "'sharpness'"),
-    "a name of pixsim": (lambda: score(metric(name="pitch_um")), "a name of pixsim's"),
+    "a name of pixsim": (lambda: score(metric(name="pitch_um")), "whose name pixsim uses"),
     "a direction": (lambda: score(metric(better="up")), "mine.better"),
     "NaN": (lambda: score(metric(np.nan)), "nan of mine"),
     "an array": (lambda: score(metric(np.ones(2))), "of mine"),
@@ -220,7 +220,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: unknowns_of_study(
             tiny(pixel={"read_noise_e": 3.0}), {"": {"read_noise_e": Spread(range=(15, 25))}}
         ),
-        "a range that holds 3",
+        "a range that contains 3",
     ),
     "an empty range of sizes": (
         lambda: few_pitches_um(3.0, (2.0, 4.0), (4.0, 2.0)),

@@ -97,7 +97,7 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "luminance of infrared light": (
         lambda: evaluated(light((930.0, 940.0, 950.0))),
-        r"white of light that nobody sees is a radiance",
+        r"state the white as a radiance",
     ),
     "white of light that the sensor does not see": (
         lambda: evaluated(light((365.0, 375.0)), pixel=Pixel(pitch_um=8.0)),
@@ -109,7 +109,7 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "diffuser without a plate": (
         lambda: evaluated(display=Display(white="diffuser")),
-        "display.white: got 'diffuser', in light that does not say",
+        "display.white: got 'diffuser', but this light does not state",
     ),
     "two whites": (
         lambda: Display(white_cd_per_m2=100.0, white_w_per_m2_sr=4.0),

@@ -63,7 +63,9 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
     (column,) = table.columns
     if column.unit == A_PER_W:
         raise invalid(
-            f"spectrum '{path}'", "values in A/W, by its title", "light, a reflectance or an index"
+            f"spectrum '{path}'",
+            "values in A/W, according to its title",
+            "light, a reflectance or an index",
         )
     power = 0
     with suppress(PixsimError):

@@ -187,10 +187,9 @@ class _Child:
             select.select(reading, writing, [], _LOOK_S if ends_at_s is None else _until(ends_at_s))
         ):
             if ends_at_s is not None and time.monotonic() > ends_at_s:
-                got = "a limit in which Mitsuba does not finish the picture of the fewest samples"
+                got = "a limit too short for Mitsuba to finish the picture with the fewest samples"
                 hint = (
-                    f"Raise it, or take a coarser film ({setting('resolution')}) or a simpler"
-                    " scene."
+                    f"Raise it, or use a coarser film ({setting('resolution')}) or a simpler scene."
                 )
                 raise OutOfTimeError(
                     str(invalid(setting("max_seconds"), got, "more seconds", hint))

@@ -142,10 +142,8 @@ class SceneFiles:
         absolute = Path(os.path.abspath(file))
         target = Path(os.path.realpath(file))
         if not any(target.is_relative_to(root) for root in self.roots):
-            got = f"'{absolute}', of another folder, in {place}"
-            hint = (
-                f"If you trust the scene with it, name its folder: {parameter(ASSETS, 'FOLDER')}."
-            )
+            got = f"'{absolute}', in another folder, in {place}"
+            hint = f"If the scene may read it, name its folder: {parameter(ASSETS, 'FOLDER')}."
             raise invalid(what, got, allowed, hint)
         if not is_utf8(absolute):
             raise invalid(
@@ -231,7 +229,7 @@ def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
     scene = SceneFiles(path, parameters, _values=dict(parameters))
     if ASSETS in parameters and not scene.assets:
         got = f"'{parameters[ASSETS]}'"
-        raise invalid(f"scene.{ASSETS}", got, "a folder, whose files the scene may name")
+        raise invalid(f"scene.{ASSETS}", got, "a folder with files that the scene may use")
     scene.root = _FileReader(path, scene).read()
     return scene
 
@@ -372,7 +370,7 @@ def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> 
     value = attributes.get("value", "")
     if not re.fullmatch(r"[\w.-]+", name):
         got = f"a <default> whose name is {excerpt(name)}"
-        raise invalid(f"scene '{path}'", got, "a name of letters, digits and _")
+        raise invalid(f"scene '{path}'", got, "a name with only letters, digits and _")
     scene.defaults.setdefault(name, value)
     scene._values.setdefault(name, value)
     if len(scene._values) > _MAX_PARAMETERS:

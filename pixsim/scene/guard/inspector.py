@@ -166,7 +166,9 @@ class _Inspector:
             child_name = child.attributes.get("name", "")
             if child_name and child_name in names:
                 raise invalid(
-                    f"{name}.{_property(child_name)}", f"a second time in {child.place}", "once"
+                    f"{name}.{_property(child_name)}",
+                    f"a second value in {child.place}",
+                    "one value",
                 )
             names.add(child_name)
             children.append(self.child(child, name, plugin))
@@ -217,7 +219,7 @@ class _Inspector:
             value = spectrum_value(path)
             self.table_characters_left -= len(value)
             if self.table_characters_left < 0:
-                got = f"spectrum files of more than {MAX_TABLES} characters"
+                got = f"spectrum files with more than {MAX_TABLES} characters"
                 raise invalid(
                     "scene",
                     got,

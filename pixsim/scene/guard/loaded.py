@@ -136,10 +136,10 @@ def _check_obj(path: Path, what: str) -> None:
     for name, declaration, corner in _UNSET_OF_OBJ:
         if declaration.search(content) and (face := corner.search(content)):
             line = content.count(b"\n", 0, face.start()) + 1
-            hint = f"Export it again with {name} for all of it, or for none."
+            hint = f"Export it again with {name} at every face, or at none."
             raise invalid(
                 what,
-                f"a face without {name} in line {line}, beside others",
-                f"{name} at all faces, or at none",
+                f"a face without {name} in line {line}, among others with them",
+                f"{name} at every face, or at none",
                 hint,
             )

@@ -60,7 +60,7 @@ def _times(value: str, factor: float) -> str:
 
 
 def _unscaled(emitter: SceneElement) -> PixsimError:
-    got = f"an emitter '{emitter.attributes['type']}' in {emitter.place} with light of another form"
+    got = f"an emitter '{emitter.attributes['type']}' in {emitter.place} with light in another form"
     return invalid(
         ILLUMINANCE,
         got,

@@ -21,7 +21,7 @@ from pixsim.scene.guard.loaded import check_files, limit_memory
 from pixsim.scene.mitsuba import import_mitsuba
 
 _LACKS_MEMORY = (
-    "the scene needs more memory than it may have; take smaller meshes and pictures, or a coarser"
+    "the scene needs more memory than it may use; use smaller meshes and pictures, or a coarser"
     " film"
 )
 

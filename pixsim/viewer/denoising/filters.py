@@ -72,7 +72,7 @@ def denoised_plane(
                 f"denoise '{method}'",
                 got,
                 f"{min_side} pixels or more along each axis",
-                "Take smaller pixels or no filter.",
+                "Use smaller pixels or no filter.",
             )
         if missing := _lacks_packages():
             raise PixsimError(f"denoise '{method}' needs {missing}.")

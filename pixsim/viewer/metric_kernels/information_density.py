@@ -59,7 +59,7 @@ def _axis_weights(frequency: Array) -> Array:
             trapezium = (np.append(0.0, steps) + np.append(steps, 0.0)) / 2
             return trapezium * (2 if first == 0 else 1)
     hint = (
-        "Take np.linspace(-1, 1, n) / (2 * pitch_mm), np.linspace(0, 1, n) / (2 * pitch_mm) or"
+        "Use np.linspace(-1, 1, n) / (2 * pitch_mm), np.linspace(0, 1, n) / (2 * pitch_mm) or"
         " np.fft.fftfreq(n, pitch_mm)."
     )
     got = f"{frequency.size} from {frequency.min():g} to {frequency.max():g}"

@@ -79,7 +79,7 @@ def detectability(
         raise invalid(
             "variance",
             f"an array of shape {variance.shape}",
-            f"that of difference, {difference.shape}, or a number",
+            f"the shape of difference, {difference.shape}, or a number",
         )
     if offset_slopes is not None and offset_slopes.shape != (2, *difference.shape):
         allowed = f"two of the shape of difference, {(2, *difference.shape)}"

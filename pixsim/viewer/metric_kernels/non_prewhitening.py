@@ -72,7 +72,7 @@ def npwe(
         raise invalid(
             "noise_power",
             f"an array of shape {noise_power.shape}",
-            f"that of difference, {difference.shape}, or a number",
+            f"the shape of difference, {difference.shape}, or a number",
         )
     eye = _eye_filter(difference.shape, samples_per_deg)
     largest_difference = float(np.abs(difference).max())
