@@ -849,9 +849,7 @@ def test_crash_of_the_child_is_an_error(tmp_path):
 def test_child_that_takes_too_long_is_killed(tmp_path):
     process = stopped(tmp_path)
     ends_at_s = time.monotonic() + 0.2
-    with pytest.raises(
-        OutOfTimeError, match=r"max_seconds: got a limit too short for Mitsuba"
-    ):
+    with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit too short for Mitsuba"):
         ChildTracer(job_of(tmp_path), lambda: ends_at_s).sample_count("multijitter", 4)
     assert not is_running(process)
 

@@ -215,7 +215,10 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
             "run csf --camera.pixels 640",
             "camera.pixels: got '640'; allowed: columns and rows, as 1936x1216.",
         ),
-        ("run csf -D f_number=4", "The setting with this name is camera.f_number, beside the scene."),
+        (
+            "run csf -D f_number=4",
+            "The setting with this name is camera.f_number, beside the scene.",
+        ),
     ],
 )
 def test_refused_command_line_says_where_its_word_belongs(line: str, words: str) -> None:

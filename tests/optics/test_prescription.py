@@ -377,7 +377,9 @@ def test_catalogue_of_the_user_takes_precedence(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="lens.glass_catalogues is not used"):
         pixsim.load_lens("singlet", glass_catalogues=[path])
     path.write_text(bk7 + AGF.format(name="N-BK7", n_d=1.51, b3=0.3))
-    with pytest.raises(pixsim.PixsimError, match=r"n_d from its formula: got 1.5\d+; allowed: 1.51"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"n_d from its formula: got 1.5\d+; allowed: 1.51"
+    ):
         pixsim.load_lens(WILD / "bk7.zmx", glass_catalogues=[path])
 
 
