@@ -31,7 +31,9 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from documents import this_machine
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from helpers.documents import this_machine
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = 1e-9
