@@ -242,6 +242,8 @@ def first_failure(copy: Path, tests: list[str]) -> str:
     failures = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
     if failures:
         return failures[0]
+    if done.returncode == 4:
+        raise SystemExit(f"the coverage file names tests that are gone: {done.stderr[-500:]}")
     return "" if done.returncode in (0, 5) else f"pytest ended with {done.returncode}"
 
 
