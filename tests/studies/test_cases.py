@@ -1,5 +1,5 @@
-"""What axes and conditions make of a study, and that its cases are the studies that one would run
-apart.
+"""What axes and conditions make of a study: its cases are the studies that one would run apart, and
+each setting makes the stages anew that depend on it, and no others. Studies of colour filters.
 """
 
 from __future__ import annotations
@@ -8,14 +8,20 @@ import json
 import weakref
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import numpy as np
 import pytest
-from helpers.tiny import TINY, keys, rows, tiny, toml_of
+from helpers.study_settings import CHANGES
+from helpers.tiny import COARSE, TINY, keys, lit_sensors, rows, tiny, toml_of
 
 import pixsim
 from pixsim.base import cache
-from pixsim.studies.design import BASE, cases_of, pixel_of
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.studies.design import BASE, cases_of, light_hash, physics_of, pixel_of
 from pixsim.studies.files import load_study
+from pixsim.studies.merit import noise_budgets
 from pixsim.studies.result import StudyResult
 from pixsim.studies.settings import Study, axes_of
 from pixsim.viewer import scene_light
@@ -47,22 +53,24 @@ def small(**over: Any) -> Study:
     return Study.model_validate(merge(SMALL, over))
 
 
+def rows_without(folder: Path, *labels: str, **values: str) -> list[dict[str, str]]:
+    """Return the rows of these values, without some of their labels."""
+    return [
+        {name: value for name, value in row.items() if name not in {*labels, *values, "check"}}
+        for row in rows(folder)
+        if values.items() <= row.items()
+    ]
+
+
 # --- cases ----------------------------------------------------------------------------------------
 
 
 def test_axes_survive_a_round_trip_through_settings() -> None:
-    times = {"name": "t", "set": "exposure.max_integration_s", "from": 0, "to": 9, "count": 3}
-    study = tiny(axis=[LENS, PRNU, times | {"from": 1}], condition=[DAY])
+    times = {"name": "t", "set": "exposure.max_integration_s", "from": 1, "to": 9, "count": 3}
+    study = tiny(axis=[LENS, PRNU, times], condition=[DAY])
     table = json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True)))
     labels = [case.labels for case in cases_of(Study.model_validate(table))]
     assert labels == [case.labels for case in cases_of(study)]
-
-
-def test_study_without_axes_is_its_only_case() -> None:
-    study = tiny()
-    (case,) = cases_of(study)
-    assert case.settings is study
-    assert (case.words, case.labels) == ("", {})
 
 
 def test_cases_are_a_product_then_single_moves_each_under_every_condition() -> None:
@@ -101,20 +109,21 @@ def test_settings_of_the_pixel_hold_for_data_sheets(tmp_path: Path) -> None:
     """Under the word that the sheet has, or another one; what is not varied stays that of the
     sheet.
     """
-    sheet = tmp_path / "sheet.toml"
     numbers = {"full_well_e": 1e4, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
     pixel = numbers | {"pitch_um": 6.0, "read_noise_e": 20.0}
-    sheet.write_text(f"pixel = {toml_of(pixel)}\n", encoding="utf-8")
+    (tmp_path / "sheet.toml").write_text(f"pixel = {toml_of(pixel)}\n", encoding="utf-8")
     (tmp_path / "s.toml").write_text('name = "s"\ntechnologies = ["sheet.toml", "4t-bsi"]\n')
     axis = {"name": "noise", "set": "pixel.temporal_dark_noise_e", "values": [1.0, 2.0]}
     warm = {"name": "warm", "set": {"pixel": {"dark_current_e_per_s": 50.0}}}
     study = load_study(tmp_path / "s.toml", axis=[axis], condition=[warm])
-    for case, noise_e in zip(cases_of(study), (1.0, 2.0), strict=True):
-        pixels = [pixel_of(case.settings, name, 6.0) for name in study.technologies]
-        for pixel in pixels:
-            assert (pixel.temporal_dark_noise_e, pixel.read_noise_e) == (noise_e, None)
-            assert pixel.dark_current_e_per_s == 50.0
-        assert pixels[0].full_well_e == 1e4
+    pixels = [
+        pixel_of(case.settings, name, 6.0)
+        for case in cases_of(study)
+        for name in study.technologies
+    ]
+    assert [pixel.temporal_dark_noise_e for pixel in pixels] == [1.0, 1.0, 2.0, 2.0]
+    assert {(pixel.read_noise_e, pixel.dark_current_e_per_s) for pixel in pixels} == {(None, 50.0)}
+    assert [pixel.full_well_e for pixel in pixels[::2]] == [1e4, 1e4]
 
 
 @pytest.mark.parametrize(
@@ -192,14 +201,7 @@ def test_a_case_has_the_rows_of_its_study_alone(
     alone = pixsim.study(
         small(camera={"f_number": 8.0}, scene=NIGHT["set"]["scene"]), tmp_path, jobs=1
     )
-    expected = rows(tmp_path)
-    names = expected[0].keys() - {"check"}  # of a whole row, with its labels
-    case_rows = [
-        {name: row[name] for name in names}
-        for row in rows(folder)
-        if (row["lens"], row["condition"]) == ("f/8", "night")
-    ]
-    assert case_rows == [{name: row[name] for name in names} for row in expected]
+    assert rows_without(folder, "PRNU", lens="f/8", condition="night") == rows_without(tmp_path)
     assert result.case(lens="f/8", condition="night").curves[0].optimum == alone.curves[0].optimum
 
 
@@ -235,42 +237,181 @@ def test_study_computes_only_what_is_new(done: tuple[StudyResult, Path], tmp_pat
 def test_lights_behind_the_lens_are_held_one_at_a_time_where_one_has_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No more of them for more lights, while the study runs and in its result."""
+    """And that which replaces it; none of them in the result."""
     monkeypatch.setattr(scene_light, "SCENE_CACHE_BYTES", 1)
     prepare_scene = scene_light.prepare_scene
-    held: list[weakref.ref[Any]] = []
-    counts: dict[int, list[int]] = {2: [], 4: []}
-    for lights, peaks in counts.items():
+    references: list[weakref.ref[Any]] = []
+    counts: list[int] = []
 
-        def recorded(*arguments: Any, peaks: list[int] = peaks, **options: Any) -> Any:
-            light = prepare_scene(*arguments, **options)
-            held.append(weakref.ref(light.rate_e_per_s_um2))
-            peaks.append(sum(item() is not None for item in held))
-            return light
+    def counted(*arguments: Any, **options: Any) -> Any:
+        light = prepare_scene(*arguments, **options)
+        references.append(weakref.ref(light.rate_e_per_s_um2))
+        counts.append(sum(reference() is not None for reference in references))
+        return light
 
-        monkeypatch.setattr(scene_light, "prepare_scene", recorded)
-        axis = LIGHTS | {"count": lights}
-        result = pixsim.study(small(axis=[axis]), tmp_path / str(lights), jobs=1)
-        peaks.append(sum(item() is not None for item in held))
-        assert len(result.parts) == lights
-        held.clear()
-    assert max(counts[2]) == max(counts[4])
-    assert counts[2][-1] == counts[4][-1]
+    monkeypatch.setattr(scene_light, "prepare_scene", counted)
+    result = pixsim.study(small(axis=[LIGHTS | {"count": 4}]), tmp_path, jobs=1)
+    assert len(result.parts) == 4
+    assert max(counts) == 2
+    assert all(reference() is None for reference in references)
 
 
 def test_sensors_are_drawn_once_for_all_lights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn: list[object] = []
-    sensor = ImagingChain.sensor
-
-    def recorded(chain: ImagingChain, *key: object) -> Any:
-        drawn.append(key)
-        return sensor(chain, *key)
-
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
-    monkeypatch.setattr(ImagingChain, "sensor", recorded)
-    pixsim.study(small(axis=[LIGHTS | {"count": 3}]), tmp_path, jobs=1)
-    keys_drawn = [key for key in drawn if key != STREAM]
+    sensor = ImagingChain.sensor
+    with patch.object(ImagingChain, "sensor", autospec=True, side_effect=sensor) as draws:
+        pixsim.study(small(axis=[LIGHTS | {"count": 3}]), tmp_path, jobs=1)
+    drawn = [call.args[1:] for call in draws.call_args_list if call.args[1:] != STREAM]
     assert len(rows(tmp_path)) == 3 * 5 * 2
-    assert len(keys_drawn) == len(set(keys_drawn)) == 5 * 2
+    assert len(drawn) == len(set(drawn)) == 5 * 2
+
+
+# --- keys -----------------------------------------------------------------------------------------
+
+# The settings before, a change, and the stages that it makes anew.
+STAGES = {name: ({}, {name: value}, stages) for name, (value, stages) in CHANGES.items()} | {
+    "a metric that is asked for": (
+        {"metrics": ["delta_e", "information"]},
+        {"metric": {"information": {"contrast": 0.3}}},
+        "score",
+    ),
+    "registrations of a target": (
+        {"metrics": ["delta_e", "detectability"]},
+        {"metric": {"detectability": {"registrations": 32}}},
+        "score",
+    ),
+    "the scene without the target": (
+        {"metrics": ["delta_e", "detectability"]},
+        {"metric": {"detectability": {"without": "flat"}}},
+        "light score",
+    ),
+    # A frame is registered with a display of dots, not with one of a dot for each pixel.
+    "raster": ({}, {"display": TINY["display"] | {"raster": "one_to_one"}}, "light frame score"),
+}
+
+
+def stages(study: Study) -> dict[str, str]:
+    """The key of each stage of a study in one light."""
+    light = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
+    sensor = lit_sensors(study, light, Camera())[0]
+    score_key = sensor.keys(6.0, 2)[1]
+    return {"light": light_hash(study), "frame": sensor.pixel_hash(6.0), "score": score_key}
+
+
+@pytest.mark.parametrize("name", [*Study.model_fields, *list(STAGES)[len(CHANGES) :]])
+def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
+    over, change, expected = STAGES[name]
+    before = tiny(**over)
+    after = Study.model_validate(before.model_dump(exclude_unset=True) | change)
+    assert after != before
+    keys_after = stages(after)
+    changed = {stage for stage, key in stages(before).items() if key != keys_after[stage]}
+    assert changed == set(expected.split())
+
+
+# --- colour filters -------------------------------------------------------------------------------
+
+IN_COLOUR = pytest.mark.filterwarnings(
+    "ignore:.*black level", "ignore:.*Fresnel", "ignore:.*, lens .*left out"
+)
+CAMERA = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
+FILTERS = {
+    "name": "filters",
+    "values": [
+        {"label": "none", "set": {"pixel": {"bits": 10}}},
+        {"label": "RGGB", "set": {"pixel": {"colour": CAMERA}}},
+        {
+            "label": "quad",
+            "set": {"pixel": {"colour": CAMERA | {"pattern": "quad_rggb", "binning": True}}},
+        },
+    ],
+}
+OPEN = {"label": "open", "set": {"pixel": {"stack": {"enabled": False}}}}
+DEEP = {"label": "deep", "set": {"pixel": {"stack": {"enabled": True}}}}
+
+
+def filters(**over: Any) -> Study:
+    table: dict[str, Any] = {
+        "name": "filters",
+        "technologies": ["4t-bsi"],
+        "repeats": 2,
+        "resolution": COARSE,
+        "camera": {"die_mm": 0.2},
+        "pixel": {"stack": {"enabled": False}},
+        "display": {"dots": 24},
+        "pitch": {"values_um": [2.0, 2.5, 3.0, 4.0, 6.0]},
+    }
+    return Study.model_validate(merge(table, over))
+
+
+@IN_COLOUR
+def test_study_of_filters(tmp_path: Path) -> None:
+    """The monochrome case is the study without filters, and the parts of each error add up. The
+    chart is grey in colour, too: to a code of the display.
+    """
+    pixsim.study(filters(), out=tmp_path / "plain", jobs=1)
+    result = pixsim.study(
+        filters(axis=[FILTERS], noise_budget=True), out=tmp_path / "filters", jobs=1
+    )
+    case_rows = rows_without(tmp_path / "filters", "key", filters="none")
+    assert case_rows == rows_without(tmp_path / "plain", "key")
+    budgets = list(noise_budgets(result).values())
+    assert ["mosaic" in budget.delta_e for budget in budgets] == [False, True, True]
+    np.testing.assert_allclose(
+        [sum(budget.parts.values()) for budget in budgets],
+        [budget.mean_delta_e for budget in budgets],
+        atol=1e-9,
+    )
+
+    score = result.case(filters="RGGB").scores("4t-bsi", 2.5, 1)[0]
+    assert score.image.shape == (*score.delta_e.shape, 3)
+    assert np.ptp(score.ideal, axis=2).max() < 0.02
+
+
+@IN_COLOUR
+def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
+    """With the reason; the other sizes have the rows of a study that never had them, also when it
+    is resumed.
+    """
+    sizes_um = [1.2, 2.0, 2.5, 3.0, 4.0]
+    few = {"pixel": {"colour": CAMERA, "stack": {"enabled": True}}, "camera": {"die_mm": 0.1}}
+    pixsim.study(filters(pitch={"values_um": sizes_um}, **few), out=tmp_path / "possible", jobs=1)
+    for _ in range(2):
+        with pytest.warns(UserWarning, match=r"0.45, 0.6 µm left out: .*noise gains of"):
+            result = pixsim.study(
+                filters(pitch={"values_um": [0.45, 0.6, *sizes_um]}, **few),
+                out=tmp_path / "all",
+                jobs=1,
+            )
+        assert result.curves[0].pitch_um.tolist() == sizes_um
+        assert list(result.as_dict()["curves"][0]["left_out"]) == ["0.45", "0.6"]
+        assert rows_without(tmp_path / "all") == rows_without(tmp_path / "possible")
+
+
+@IN_COLOUR
+def test_case_without_possible_sizes_is_left_out_with_the_reason(tmp_path: Path) -> None:
+    """The others have their curves; a study of no other case is refused."""
+    tables: dict[str, Any] = {
+        "pixel": {"colour": CAMERA},
+        "pitch": {"values_um": [0.45, 0.5, 0.55, 0.6, 0.65]},
+        "camera": {"die_mm": 0.1},
+    }
+    study = filters(axis=[{"name": "stack", "values": [OPEN, DEEP]}], **tables)
+    with pytest.warns(UserWarning, match="a case is left out: 4t-bsi, deep: 0 of 5 pixel sizes"):
+        result = pixsim.study(study, out=tmp_path / "out", jobs=1)
+    assert [curve.at for curve in result.curves] == [{"stack": "open"}]
+    assert result.as_dict()["left_out"] == list(result.left_out)
+    assert result.left_out[0].startswith("4t-bsi, deep: ")
+
+    study = filters(axis=[{"name": "stack", "values": [DEEP]}], resolution=64, **tables)
+    with pytest.raises(pixsim.PixsimError, match=r"4t-bsi, deep: none of its.*noise gains"):
+        pixsim.study(study, out=tmp_path / "none", jobs=1)
+
+
+def test_packaged_study_of_filters_is_possible() -> None:
+    """All cases have possible pixels, of files beside the study."""
+    cases = cases_of(load_study("colour"))
+    channels = [len(physics_of(case.settings, "4t-bsi", 2.0).channels) for case in cases]
+    assert channels == [1, 1, 3, 3, 3, 3, 3, 3, 3, 3]
