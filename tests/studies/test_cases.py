@@ -65,17 +65,14 @@ def rows_without(folder: Path, *labels: str, **values: str) -> list[dict[str, st
 # --- cases ----------------------------------------------------------------------------------------
 
 
-def test_axes_survive_a_round_trip_through_settings() -> None:
-    times = {"name": "t", "set": "exposure.max_integration_s", "from": 1, "to": 9, "count": 3}
-    study = tiny(axis=[LENS, PRNU, times], condition=[DAY])
-    table = json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True)))
-    labels = [case.labels for case in cases_of(Study.model_validate(table))]
-    assert labels == [case.labels for case in cases_of(study)]
-
-
 def test_cases_are_a_product_then_single_moves_each_under_every_condition() -> None:
-    times = {"name": "integration", "set": "exposure.max_integration_s", "values": [0.1, 0.2]}
-    cases = cases_of(tiny(axis=[LENS, times, PRNU], condition=[DAY, NIGHT]))
+    """Also of settings that are written and read again."""
+    times_s = {"from": 0.1, "to": 0.2, "count": 2}
+    times = {"name": "integration", "set": "exposure.max_integration_s"} | times_s
+    study = tiny(axis=[LENS, times, PRNU], condition=[DAY, NIGHT])
+    settings = json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True)))
+    cases = cases_of(Study.model_validate(settings))
+    assert [case.labels for case in cases] == [case.labels for case in cases_of(study)]
     words = ["f/2.8, integration 0.1, day", "f/2.8, integration 0.1, night"]
     assert len(cases) == (2 * 2 + 1 + 2) * 2
     assert [case.words for case in cases[:2]] == words
@@ -146,8 +143,11 @@ def test_option_that_axes_or_conditions_set_is_named(
     assert [str(warning.message) for warning in recwarn.list] == ([words] if words else [])
 
 
-def test_files_of_axes_and_conditions_lie_next_to_the_study(tmp_path: Path) -> None:
-    files = [tmp_path / name for name in ("scene.xml", "qe.csv", "star.exr", "mine.toml")]
+FILES = ("scene.xml", "qe.csv", "star.exr", "mine.toml", "empty.xml")
+
+
+def test_files_of_axes_conditions_and_metrics_lie_next_to_the_study(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in FILES]
     for file in files:
         file.write_text("", encoding="utf-8")
     axes = [
@@ -159,13 +159,15 @@ def test_files_of_axes_and_conditions_lie_next_to_the_study(tmp_path: Path) -> N
         },
     ]
     night = {"name": "n", "set": {"scene": {"parameters": {"chart": "star.exr"}}}}
-    text = f'name = "s"\naxis = {toml_of(axes)}\ncondition = {toml_of([night])}\n'
+    metrics = 'metrics = ["detectability"]\nmetric.detectability.without = "empty.xml"\n'
+    text = f'name = "s"\naxis = {toml_of(axes)}\ncondition = {toml_of([night])}\n{metrics}'
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     study = load_study(tmp_path / "s.toml")
-    scene, qe, star, mine = map(str, files)
+    scene, qe, star, mine, empty = map(str, files)
     assert [axis.values for axis in study.axis[:2]] == [(scene, "csf"), (mine, "0.5um")]
     assert study.axis[2].points[0].table == {"pixel": {"quantum_efficiency": qe}}
     assert study.condition[0].set == {"scene": {"parameters": {"chart": star}}}
+    assert study.metric.detectability.without == empty
 
 
 def test_axes_of_the_command_line() -> None:
