@@ -10,20 +10,18 @@ from __future__ import annotations
 import inspect
 import math
 import re
-import signal
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import cache, partial
 from os import PathLike
 from pathlib import Path
-from types import FrameType
 from typing import Any, TypeVar, Union
 
 import numpy as np
 import pytest
 from helpers.chains import imaging
+from helpers.hostile import TooLongError, in_time
 from helpers.public_names import PUBLIC
 from numpy.typing import ArrayLike
 from pydantic import BaseModel
@@ -47,24 +45,6 @@ JUNK: dict[str, Any] = {
     "1e-320": 1e-320, "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/no/such/file"),
     "folder": Path("/tmp"),
 }  # fmt: skip
-
-
-class TooLongError(BaseException):
-    """Not an Exception: nothing in pixsim may catch it."""
-
-
-@contextmanager
-def limited() -> Iterator[None]:
-    def stop(_: int, __: FrameType | None) -> None:
-        raise TooLongError
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
 
 
 CAMERA, PIXEL, DISPLAY, EXPOSURE = (
@@ -91,31 +71,11 @@ RATIO_ROUNDING = 1 / (1 + np.exp(30 - np.arange(64) + np.arange(64)[:, None] * 0
 EDGES = np.linspace(0.0, 2713.6, 9)
 
 
-@cache
-def scene() -> Any:
-    return pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral")
-
-
-@cache
-def plan() -> Any:
-    return pixsim.make_plan(scene())
-
-
-@cache
-def score() -> Any:
-    return pixsim.evaluate(LIGHT, CAMERA, PIXEL, display=DISPLAY)
-
-
-@cache
-def sensor_table() -> Any:
-    return pixsim.sweep(LIGHT, [PIXEL], camera=CAMERA, display=DISPLAY)
-
-
-@cache
-def edge() -> Any:
-    return pixsim.edge_response(RATIO_ROUNDING)
-
-
+scene = cache(lambda: pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral"))
+plan = cache(lambda: pixsim.make_plan(scene()))
+score = cache(lambda: pixsim.evaluate(LIGHT, CAMERA, PIXEL, display=DISPLAY))
+sensor_table = cache(lambda: pixsim.sweep(LIGHT, [PIXEL], camera=CAMERA, display=DISPLAY))
+edge = cache(lambda: pixsim.edge_response(RATIO_ROUNDING))
 # Valid arguments by name; of some functions, by name and argument.
 GOOD: dict[str, Any] = {
     "names": ("shot",),
@@ -196,19 +156,8 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 MADE_BY_FUNCTIONS = (  # not by users
-    *(
-        "EdgeResponse",
-        "Frame",
-        "FrameScore",
-        "Optimum",
-        "Plan",
-        "PixelPhysics",
-        "RawFrame",
-        "Readout",
-        "Score",
-        "Sensor",
-    ),
-)
+    "EdgeResponse", "Frame", "FrameScore", "Optimum", "Plan", "PixelPhysics", "RawFrame", "Readout", "Score", "Sensor",
+)  # fmt: skip
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
@@ -240,41 +189,30 @@ def owner_of(name: str) -> str | None:
     return above if above[:1].isupper() else None
 
 
-def targets() -> dict[str, Callable[..., Any]]:
-    """Functions, classes and methods that take arguments."""
-    functions: dict[str, Callable[..., Any]] = {}
-    for name, thing in PUBLIC.items():
-        if not callable(getattr(thing, "__func__", thing)) or any(
-            name.startswith(skipped) for skipped in NOT_CALLED
-        ):
-            continue
-        if name.rpartition(".")[2] in MADE_BY_FUNCTIONS:
-            continue
-        if thing is Result.write:  # of each result: it writes a folder; tested below
-            continue
-        signature = inspect.signature(getattr(thing, "__func__", thing))
-        if [argument for argument in signature.parameters if argument not in ("self", "cls")]:
-            functions[name] = thing
-    return functions
+def function_of(thing: Any) -> Any:
+    """The function of a class method, whose module has the names of its annotations."""
+    return getattr(thing, "__func__", thing)
 
 
-TARGETS = targets()
+def is_target(name: str, thing: Any) -> bool:
+    """Whether it is a function, class or method that takes arguments."""
+    if not callable(function_of(thing)) or any(name.startswith(other) for other in NOT_CALLED):
+        return False
+    if name.rpartition(".")[2] in MADE_BY_FUNCTIONS or thing is Result.write:  # tested below
+        return False
+    return bool({*inspect.signature(function_of(thing)).parameters} - {"self", "cls"})
+
+
+TARGETS = {name: thing for name, thing in PUBLIC.items() if is_target(name, thing)}
 
 
 def arguments_of(name: str) -> dict[str, inspect.Parameter]:
-    thing = TARGETS[name]
-    parameters = inspect.signature(getattr(thing, "__func__", thing)).parameters
     variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
     return {
         key: parameter
-        for key, parameter in parameters.items()
+        for key, parameter in inspect.signature(function_of(TARGETS[name])).parameters.items()
         if key not in ("self", "cls") and parameter.kind not in variadic
     }
-
-
-def called(name: str) -> Any:
-    """The function or class of a target, whose module has the names of its annotations."""
-    return getattr(TARGETS[name], "__func__", TARGETS[name])
 
 
 def good(name: str, argument: str) -> Any:
@@ -284,31 +222,23 @@ def good(name: str, argument: str) -> Any:
 
 
 def required(name: str) -> dict[str, Any]:
-    if issubclass_of_record(TARGETS[name]):
-        return records(name)
+    """The arguments of a valid call; of a record, the fields of a valid instance."""
+    thing: Any = TARGETS[name]
+    if inspect.isclass(thing) and issubclass(thing, BaseModel):
+        record = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}.get(
+            thing.__name__
+        )
+        if record is None:
+            return SMALL_RECORDS.get(thing.__name__, {})
+        return {key: getattr(record, key) for key in record.model_fields_set}
+    if inspect.isclass(thing) and is_dataclass(thing):
+        instance = INSTANCES[thing.__name__]()
+        return {field.name: getattr(instance, field.name) for field in fields(thing) if field.init}
     return {
         key: good(name, key)
         for key, parameter in arguments_of(name).items()
         if parameter.default is parameter.empty or key in ALWAYS.get(name, ())
     }
-
-
-def issubclass_of_record(thing: Any) -> bool:
-    return inspect.isclass(thing) and (issubclass(thing, BaseModel) or is_dataclass(thing))
-
-
-def records(name: str) -> dict[str, Any]:
-    """The fields of a valid instance."""
-    thing: Any = TARGETS[name]
-    if issubclass(thing, BaseModel):
-        of = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}
-        if thing.__name__ in of:
-            return {
-                key: getattr(of[thing.__name__], key) for key in of[thing.__name__].model_fields_set
-            }
-        return SMALL_RECORDS.get(thing.__name__, {})
-    instance = INSTANCES[thing.__name__]()
-    return {field.name: getattr(instance, field.name) for field in fields(thing) if field.init}
 
 
 def call(name: str, arguments: dict[str, Any]) -> Any:
@@ -366,7 +296,7 @@ def fault(call: Callable[[], Any], argument: str, junk: Any, annotation: str = "
     annotation : of the argument, without bounds. Empty if no value of junk may be taken
     """
     try:
-        with limited(), warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
+        with in_time(LIMIT_S), warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
             result = call()
     except PixsimError as error:
         return "" if names(str(error), argument, junk) else f"not named in '{error}'"
@@ -386,7 +316,7 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
     assert is_right(call(name, base)), "the valid call"
     faults = []
     for argument, parameter in arguments_of(name).items():
-        annotation = without_bounds(str(parameter.annotation), called(name))
+        annotation = without_bounds(str(parameter.annotation), function_of(TARGETS[name]))
         for label, junk in JUNK.items():
             if junk is parameter.default or (argument == "progress" and callable(junk)):
                 continue  # the valid call; what a user's function returns is the user's

@@ -79,18 +79,15 @@ def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]
 
     `run` and `datasheet` are started by the installed `pixsim`, the others by `python -m pixsim`.
     """
-    environment = environment_in(folder)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **streams}
+    installed = line.startswith(("run", "datasheet"))
+    words = [*([COMMAND] if installed else [sys.executable, "-m", "pixsim"]), *shlex.split(line)]
     if "\n" in line:
         (folder / "script.py").write_text(line, encoding="utf-8")
-    words = [sys.executable, "script.py"]
-    if "\n" not in line:
-        installed = line.startswith(("run", "datasheet"))
-        words = [
-            *([COMMAND] if installed else [sys.executable, "-m", "pixsim"]),
-            *shlex.split(line),
-        ]
-    return subprocess.Popen(words, cwd=folder, env=environment, start_new_session=True, **pipes)
+        words = [sys.executable, "script.py"]
+    return subprocess.Popen(
+        words, cwd=folder, env=environment_in(folder), start_new_session=True, **pipes
+    )
 
 
 def takes_signals(pid: int) -> bool:
@@ -454,11 +451,11 @@ def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(
     assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {out}")[0] == 0
     assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {tmp_path / 'whole'}")[0] == 0
     assert (out / "results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
-    names = [
-        sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
+    names, whole_names = (
+        {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
         for folder in (out, tmp_path / "whole")
-    ]
-    assert names[0] == names[1]
+    )
+    assert names == whole_names
 
 
 def test_output_folder_removes_leftovers_of_killed_process_only(
@@ -553,6 +550,7 @@ def test_without_locks_nothing_is_refused_or_removed(
 
 
 def test_replacing_at_the_same_time_gives_one_of_the_whole_files(tmp_path: Path) -> None:
+    """With the permissions of a new file."""
     barrier = threading.Barrier(8)
 
     def write(letter: str) -> None:
@@ -568,12 +566,7 @@ def test_replacing_at_the_same_time_gives_one_of_the_whole_files(tmp_path: Path)
     text = (tmp_path / "a.txt").read_text()
     assert text == text[0] * 2000
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
-
-
-def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
     (tmp_path / "usual.txt").touch()
-    with replacing(tmp_path / "a.txt") as part:
-        part.write_text("a")
     assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "usual.txt").stat().st_mode
 
 
@@ -582,38 +575,32 @@ def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("closed", "line", "expected"),
-    [((0,), "--version", 0), ((0, 1, 2), "schema study", 0), ((0, 1, 2), "schema nothing", 2)],
+    ("closed", "full", "line", "code"),
+    [
+        ((0,), (), "--version", 0),
+        ((0, 1, 2), (), "schema study", 0),
+        ((0, 1, 2), (), "schema nothing", 2),
+        ((), (1,), "cache", 2),
+        ((), (2,), "schema nothing", 2),
+    ],
 )
-def test_command_closed_streams_are_like_dev_null(
-    closed: tuple[int, ...], line: str, expected: int, tmp_path: Path
+def test_closed_streams_are_like_dev_null_and_a_full_one_is_said(
+    closed: tuple[int, ...], full: tuple[int, ...], line: str, code: int, tmp_path: Path
 ) -> None:
-    def close() -> None:
+    def change_streams() -> None:
         for number in closed:
             os.close(number)
+        for number in full:
+            os.dup2(os.open("/dev/full", os.O_WRONLY), number)
 
-    process = started(line, tmp_path, preexec_fn=close)
+    process = started(line, tmp_path, preexec_fn=change_streams)
     out, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == expected, err
+    assert process.returncode == code, err
     assert "Traceback" not in err
-    assert bool(out) == (expected == 0 and 1 not in closed)
-    assert bool(err) == (expected != 0 and 2 not in closed)
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-@pytest.mark.parametrize(
-    ("stream", "line", "expected"), [("stdout", "cache", 2), ("stderr", "schema nothing", 2)]
-)
-def test_command_full_stream(stream: str, line: str, expected: int, tmp_path: Path) -> None:
-    with open("/dev/full", "w") as full:
-        process = started(line, tmp_path, **{stream: full})
-        out, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == expected
-    assert not out
-    if stream == "stdout":
-        assert len(err.splitlines()) == 1
-        assert "No space left on device" in err
-        assert err.startswith("pixsim: ")
+    assert bool(out) == (code == 0 and 1 not in closed)
+    assert bool(err) == (code != 0 and 2 not in (*closed, *full))
+    if 1 in full:
+        assert re.fullmatch("pixsim: .*No space left on device.*\n", err)
 
 
 def test_command_no_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -677,11 +664,8 @@ def test_publishing_full_disk_names_file_and_what_is_kept(has_name: bool, tmp_pa
 
     def write(folder: Path) -> None:
         (folder / "a.txt").write_text("after")
-        raise OSError(
-            errno.ENOSPC,
-            os.strerror(errno.ENOSPC),
-            *([str(folder / "figures/b.txt")] if has_name else []),
-        )
+        name = [str(folder / "figures/b.txt")] if has_name else []
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *name)
 
     with pytest.raises(UnwritableError, match=pattern), publishing(tmp_path) as folder:
         write(folder)

@@ -184,10 +184,6 @@ def nested(path: tuple[Any, ...], table: Table) -> Any:
     return table
 
 
-def read_settings(path: str) -> object:
-    return checked(Run, [settings_layer(path)])
-
-
 @dataclass(frozen=True)
 class Place:
     """Where a file has the table of a record.
@@ -224,7 +220,7 @@ for root, read in (
     (_PrescriptionFile, pixsim.load_lens),
     (Technology, pixsim.load_technology),
     (Study, load_study),
-    (Run, read_settings),
+    (Run, lambda path: checked(Run, [settings_layer(path)])),
 ):
     PLACES |= {record: Place(root, path, read) for record, path in tables_inside(root)}
 
