@@ -47,7 +47,7 @@ from pixsim.studies.settings import PitchRange, Study
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer
 
-# Checked where the field is used, or by a rule of its own: see tests/optics/test_refusals.py.
+# Checked where the field is used, or by a rule of its own: see tests/optics/test_prescription.py.
 WITHOUT_BOUNDS = {"radius_mm", "object_distance_mm"}
 RECORDS = records()
 

@@ -1,5 +1,5 @@
 """Chief ray angles and fall-off of a thin lens: from files, rows and TOML, as values in hashes and
-settings; directions and light that follow from them. What is refused stands in test_refusals.py.
+settings; directions and light that follow from them; cameras that are refused.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,12 @@ import pytest
 from helpers.claims import check
 from helpers.tiny import tiny_toml
 
+from pixsim.base.errors import PixsimError
 from pixsim.base.records import checked
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.exchange import read_irradiance
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.stack import Stack, collected_shares
 from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.studies.files import load_study, settings_text
@@ -174,3 +177,79 @@ def test_relative_illumination_replaces_the_fall_off(tmp_path: Path) -> None:
     np.savez(tmp_path / "light.npz", data=np.full((16, 16, 3), 2.0), **arrays)
     image = read_irradiance(tmp_path / "light.npz", camera)
     check("radiance of a file", image.data[:, :, 1], 2 * wanted, rtol=1e-6, why="float32")
+
+
+# What is refused
+
+ANGLES = "image_height_mm,deg\n"
+BOTH = "image_height_mm,deg,relative_illumination\n"
+FALL_OFF = "image_height_mm,relative_illumination\n"
+TABLES = [
+    ("chief_ray_angle", "", "without these columns"),
+    ("chief_ray_angle", "0,0\n1,12\n2,21\n", "first line of"),
+    ("chief_ray_angle", ANGLES, "of 0 rows"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n1\n", "in line 3"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n2,x\n", "in line 3"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n2,nan\n", "in row 2.*finite"),
+    ("chief_ray_angle", f"{ANGLES}-1,0\n2,3\n", "begins with -1 mm"),
+    ("chief_ray_angle", f"{ANGLES}0,1\n2,3\n", "0 mm and 1 degrees"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n2,3\n1,2\n", "2 mm followed by 1 mm"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n2,90\n", "90 degrees in row 2"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n1e-9,1\n2,2\n", "with 1e-09 mm"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n1.5,20\n", "up to the corner.*1.9189 mm"),
+    ("chief_ray_angle", f"{ANGLES}0,0\n1.9,62\n2,5\n", "62 degrees at 1.9 mm.*horizon"),
+    ("chief_ray_angle", f"{BOTH}0,0,100\n2,3,80\n", "100 in row 1.*percentages"),
+    ("chief_ray_angle", f"{BOTH}0,0,.8\n2,3,.7\n", "0.8 on the axis"),
+    ("chief_ray_angle", f"{BOTH}0,0,1\n2,3,-.1\n", "-0.1 in row 2"),
+    (
+        "chief_ray_angle",
+        ANGLES + "".join(f"{row / 500},0\n" for row in range(1001)),
+        "of 1001 rows",
+    ),
+    ("chief_ray_angle", ANGLES + "0,0\n" * 300_000, "of 1200020 bytes"),
+    ("fall_off", f"{FALL_OFF}0,1\n", "of the axis only"),
+    ("fall_off", f"{FALL_OFF}", "of 0 rows"),
+    ("fall_off", f"{FALL_OFF}0,.8\n2,.7\n", "0.8 on the axis"),
+    ("fall_off", f"{FALL_OFF}0,1\n2,3\n", "of 3 in row 2"),
+    ("fall_off", f"{FALL_OFF}1,.9\n1,.8\n", "1 mm followed by 1 mm"),
+    ("fall_off", f"{FALL_OFF}1,.9\n", "up to the corner"),
+    ("fall_off", f"{ANGLES}0,0\n2,3\n", "without these columns"),
+]
+
+
+@pytest.mark.parametrize(("field", "text", "words"), TABLES)
+def test_tables_of_a_lens(field: str, text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(PixsimError, match=f"(chief_ray_angle|fall_off|illumination).*{words}"):
+        Camera(f_number=1.4, **{field: tmp_path / "table.csv"})
+
+
+FALLS = ((0.0, 1.0), (3.0, 0.5))
+REFUSED: list[tuple[str, Callable[[], object], str]] = [
+    ("focus", lambda: Camera(focal_length_mm=50.0, object_distance_m=0.05), "focal_length_mm = 50 is not shorter"),
+    ("magnified", lambda: Camera(focal_length_mm=50.0, object_distance_m=0.05000000001), "magnifies"),
+    ("working f-number", lambda: Camera(f_number=0.45), "f_number = 0.45 is too small"),
+    ("two fall-offs", lambda: Camera(fall_off=FALLS, chief_ray_angle=[(*row, 1.0) for row in ROWS]), "one of them"),
+    ("window", lambda: Camera(die_mm=2.0).window(3.0), "window_mm: got 3"),
+    ("no pitch", lambda: CameraOptions(pixels=(20, 10)).over(Camera()), "camera.pixels: got"),
+    ("larger die", lambda: CameraOptions(chief_ray_angle=ROWS, die_mm=3.0).over(Camera()), "2.1214 mm"),
+    *(
+        (f"{value!r}", lambda value=value: Camera(chief_ray_angle=value), f"chief_ray_angle.*{words}")
+        for value, words in (
+            ("missing.csv", "does not exist"),
+            (3.0, "neither a file nor"),
+            ([[0, 0], [2, "x"]], "neither a file nor"),
+            ([[0, 0], [2, 3, 1]], "in every row"),
+            ([["0", "0"], "12"], "of 1 rows"),
+            (True, "got True"),
+            ([[0, 0], [1e400, 3]], "finite"),
+        )
+    ),
+    ("options without a file", lambda: LensOptions(refocus="field"), "refocus without file"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "call", "words"), REFUSED)
+def test_cameras_that_cannot_be_are_refused(name: str, call: Callable[[], object], words) -> None:
+    with pytest.raises((PixsimError, ValueError), match=words):
+        call()

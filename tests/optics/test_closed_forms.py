@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.claims import Claim, check
+from scipy.fft import dct
 
 from pixsim import optics
+from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import Camera
 from pixsim.optics.ghosts import Ghost, find_ghosts, reflectances, unfolded_path
 from pixsim.optics.glass import (
@@ -31,6 +33,7 @@ from pixsim.optics.lens_defocus import depth_of_disc_m, depth_of_field_m, signed
 from pixsim.optics.prescription import Surface
 from pixsim.optics.pupil import Pupil, disc_pupil, numerical_aperture
 from pixsim.optics.ray_trace import rays_from, trace
+from pixsim.optics.stack import Stack, aperture_mtf
 from pixsim.optics.thin_lens import dense_fall_off, thin_lens_pupil
 
 LINES_NM = 1e3 * np.array([LINES_UM[line] for line in "FdC"])
@@ -328,6 +331,12 @@ DEFOCUS = [
 
 # Diffraction
 
+GREEN_NM = np.array([550.0])
+ONE = np.array([1.0])
+FLAT = [np.full(shape, 3.0) for shape in ((32, 20), (1, 7), (7, 1), (1, 1))]
+DARK = np.zeros((8, 8))
+POINT = np.eye(1, 8192)  # in a corner it holds all cosines
+OTF = optics.diffraction_otf(np.arange(8192) / (2 * 8192 * 0.5e-3), 550.0, 4.0)
 DIFFRACTION = [
     Claim("cut-off 1/(λN)", lambda: optics.cutoff_cy_per_mm(500.0, 4.0), 500.0, rtol=1e-15),
     Claim(
@@ -357,6 +366,31 @@ DIFFRACTION = [
         [1, 2 / np.pi, 0],
         atol=1e-15,
     ),
+    *(
+        Claim(
+            f"a flat field of {flat.shape} is unchanged",
+            lambda flat=flat: optics.diffract(flat, 2.0, GREEN_NM, ONE, 4.0),
+            flat,
+            atol=1e-12,
+        )
+        for flat in FLAT
+    ),
+    *(
+        Claim(
+            f"a sum of {len(pictures)} pictures without light is dark",
+            lambda pictures=pictures: optics.diffract_sum(pictures, (8, 8), 1.0, GREEN_NM, 8.0),
+            DARK,
+        )
+        for pictures in ([], [(DARK + 1, np.zeros(1))])
+    ),
+    Claim(
+        "all frequencies are scaled by the OTF",
+        lambda: dct(optics.diffract(POINT, 0.5, GREEN_NM, ONE, 4.0)[0]) / dct(POINT[0]),
+        OTF,
+        atol=1e-7,
+        why="a table of 32768 frequencies: 3e-8",
+    ),
+    Claim("up to the cut-off, below order 3724", lambda: np.count_nonzero(OTF), 3724),
 ]  # fmt: skip
 
 # Rays and ghosts
@@ -484,7 +518,101 @@ def test_closed_forms(claim: Claim) -> None:
     claim.check()
 
 
-def test_otf_falls_with_frequency_and_wavelength() -> None:
-    otf = optics.diffraction_otf(np.linspace(0, 500, 101)[:, None], [400.0, 500.0], 4.0)
-    assert (np.diff(otf[:81], axis=0) < 0).all(), "along the frequency"
-    assert (np.diff(otf[1:], axis=1) <= 0).all(), "along the wavelength"
+# Pictures blurred by a circular pupil
+
+
+@pytest.mark.parametrize("pitch_um", [2.65, 0.25])
+@pytest.mark.parametrize(
+    ("row_order", "column_order"), [(0, 0), (0, 3), (5, 0), (40, 90), (127, 191)]
+)
+def test_cosine_is_scaled_by_the_otf(pitch_um: float, row_order: int, column_order: int) -> None:
+    y = np.cos(np.pi * row_order * (np.arange(128) + 0.5) / 128)
+    x = np.cos(np.pi * column_order * (np.arange(192) + 0.5) / 192)
+    picture = y[:, None] * x
+    frequency = np.hypot(row_order / (256e-3 * pitch_um), column_order / (384e-3 * pitch_um))
+    nm = np.array([450.0, 550.0, 700.0])
+    weight = np.array([1.0, 2.0, 0.5])
+    otf = (weight * optics.diffraction_otf(frequency, nm, 4.0)).sum() / 3.5
+    blurred = optics.diffract(picture, pitch_um, nm, weight, 4.0)
+    check("picture", blurred, otf * picture, atol=1e-7, why="a table of 32768 frequencies: 3e-8")
+
+
+@pytest.mark.parametrize("shape", [(24, 40), (1, 33)])
+def test_sum_of_pictures_is_that_of_their_blurs(shape, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Weights of both signs, as the spectra of a fit; strips of any size; float32 pictures."""
+    rng = np.random.default_rng(3)
+    nm = np.array([450.0, 550.0, 620.0, 700.0])
+    pictures = rng.uniform(0, 1, (4, *shape)).astype(np.float32)
+    weights = rng.normal(0, 1, (4, 4))
+    weights[3] = 0.0
+    together = optics.diffract_sum(zip(pictures, weights, strict=True), shape, 1.0, nm, 8.0)
+    wanted = sum(
+        weight * optics.diffract(pictures[i].astype(float), 1.0, nm[k : k + 1], ONE, 8.0)
+        for (i, k), weight in np.ndenumerate(weights)
+    )
+    check("sum", together, wanted, atol=1e-6, why="tables of other wavelengths: 3e-8 each")
+    mean = np.tensordot(weights.sum(axis=1), pictures.mean(axis=(1, 2), dtype=float), 1)
+    check("light", together.mean(), mean, rtol=1e-12, why="conserved")
+    monkeypatch.setattr("pixsim.base.arrays.STRIP_SAMPLES", 5)
+    strips = optics.diffract_sum(zip(pictures, weights, strict=True), shape, 1.0, nm, 8.0)
+    check("strips", strips, together, why="the same bits")
+
+
+def test_transfer_behind_the_lens_multiplies_its_otf() -> None:
+    """A Gaussian of σ in place of the lens, and behind it."""
+    picture = np.cos(np.pi * 5 * (np.arange(64) + 0.5) / 64)[None]
+    frequency = 5 / (2 * 64 * 1e-3)
+
+    def gaussian(cy_per_mm: np.ndarray, nm: float) -> np.ndarray:
+        return np.exp(-((cy_per_mm * nm * 1e-5) ** 2))
+
+    mtf = float(gaussian(np.array(frequency), 550.0))
+    otf = float(optics.diffraction_otf(frequency, 550.0, 8.0))
+    for f_number, wanted in ((None, mtf), (8.0, mtf * otf)):
+        blurred = optics.diffract_sum([(picture, ONE)], (1, 64), 1.0, GREEN_NM, f_number, gaussian)
+        check(f"f/{f_number}", blurred, wanted * picture, atol=1e-7, why="a table of frequencies")
+
+
+# Values that do not fit each other
+
+
+def collection(**numbers: object) -> object:
+    sizes = {"pitch_um": 2.2, "photodiode_side_um": 1.3, "height_um": 3.5, "index": 1.5}
+    return optics.stack_collection(**sizes | {"f_number": 2.0} | numbers)
+
+
+REFUSED: list[tuple[str, Callable[[], object], str]] = [
+    *(
+        (f"{nm} nm", lambda nm=nm: catalogue()["SCHOTT:N-BK7"].index([550.0, nm]), "wavelength_nm: got .*'SCHOTT:N-BK7'")
+        for nm in (299.0, 2501.0, 0.0, np.nan, np.inf)
+    ),
+    ("no index", lambda: Glass("x", 3, (-1.0,)).index(550.0), "index of glass 'x': got nan"),
+    ("formula", lambda: Glass("x", 6, (1.0,)), "formula of glass 'x': got 6"),
+    ("an even number", lambda: Glass("x", 2, (1.0, 2.0)), "got 2 numbers"),
+    ("few numbers", lambda: Glass("x", 4, (1.0,)), "got 1 numbers"),
+    ("not six", lambda: Glass("x", 7, (1.0,)), "got 1 numbers"),
+    ("infinite", lambda: Glass("x", 3, (np.inf,)), "infinity or NaN"),
+    ("faster than f/0.5", lambda: optics.irradiance_factor(0.4, 0.0), "f_number: got"),
+    ("no tangent", lambda: optics.irradiance_factor(4.0, [0, np.nan]), "tan_field: got nan"),
+    ("horizon", lambda: thin_lens_pupil(4.0, np.inf), "tan_field and azimuth_deg: got"),
+    ("steep pupil", lambda: disc_pupil(0.5, [0.0, 30.001]), "pupil: .*horizon"),
+    ("90°", lambda: disc_pupil(0.1, 90.0), "chief_ray_deg: got 90"),
+    ("dark weights", lambda: optics.diffract(np.ones((2, 2)), 1.0, np.ones(1), np.zeros(1), 4.0), "weight: got a sum of 0"),
+    ("weights", lambda: optics.diffract(np.ones((2, 2)), 1.0, np.ones(1), np.ones(2), 4.0), "1 and 2 values"),
+    ("photodiode", lambda: collection(photodiode_side_um=2.3), "photodiode_side_um: got 2.3"),
+    ("étendue", lambda: collection(height_um=1.2), "height_um: got 1.2; .* 1.24122"),
+    ("shift", lambda: collection(shift_um=(1.2, 0.0)), r"shift_um: got \(1\.2, 0\.0\)"),
+    ("cone", lambda: collection(f_number=0.9, chief_ray_deg=32.0), "pupil: .*1.016"),
+    ("light beside", lambda: aperture_mtf(Stack(6.5, 3.5, 8.0, 1.5, False), disc_pupil(1e-9, 53.0), 1.0), "does not reach"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "call", "words"), REFUSED)
+def test_values_are_refused_by_their_cause(name: str, call: Callable[[], object], words) -> None:
+    with pytest.raises(PixsimError, match=words):
+        call()
+
+
+def test_pupils_up_to_the_horizon_are_allowed() -> None:
+    for chief_deg in (0.0, 5.0, -30.0):
+        disc_pupil((1 - math.sin(math.radians(abs(chief_deg)))) * (1 - 1e-6), chief_deg, 10.0)

@@ -4,6 +4,7 @@ agree on.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from helpers.claims import Claim, check
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
 from pixsim.optics.lens import Lens, lens_from_prescription
@@ -498,3 +500,38 @@ def test_least_wavefront_of_infrared_light_is_in_its_focus() -> None:
     planes = [best._with_image_plane_moved(step) for step in (-0.02, 0.0, 0.02)]
     spreads = [np.std(plane.opd_waves(0.0, 850.0, *DISC)) for plane in planes]
     assert np.argmin(spreads) == 1, spreads
+
+
+# What is refused
+
+
+def wide(lens: Lens, diameter_mm: float, stop_y: float) -> object:
+    larger = replace(lens, entrance_pupil_diameter_mm=diameter_mm)
+    return larger.opd_waves(0.0, 550.0, 0.0, stop_y)
+
+
+RIM = Surface(1 / 5, 8.0, GLASS), Surface(0.0, 5.0)
+REFUSED: list[tuple[str, Callable[[], object], str]] = [
+    ("an unknown lens", lambda: pixsim.load_lens("phon"), "cooke_triplet, .*'phone'"),
+    ("no chief ray", lambda: PHONE.chief_ray(85.0, 550.0), r"misses surface \d+ \(550 nm\)"),
+    ("height", lambda: PHONE.field_of_height(1e3, 550.0), "height_mm: .*image circle"),
+    ("sideways", lambda: PHONE.chief_ray(90.0, 550.0), "field_deg: got 90"),
+    ("nothing", lambda: PHONE.chief_ray([], 550.0), "field_deg: got an empty array"),
+    ("no number", lambda: PHONE.chief_ray(np.nan, 550.0), "field_deg: got nan"),
+    ("infrared", lambda: PHONE.opd_waves(0.0, 900.0, 0.0, 0.0), "wavelength_nm: got 900"),
+    ("spokes", lambda: PHONE.outline(0.0, 550.0, 6), "spokes: got 6"),
+    ("rings", lambda: PHONE.directions(0.0, 550.0, 0.0, rings=0), "rings: got 0"),
+    ("a wider stop", lambda: PHONE.stopped_down(1.0), "f_number: got 1; .*'phone'"),
+    ("no image", lambda: PHONE.refocused("axis", 1.0), "object_distance_mm: got 1"),
+    ("a rim", lambda: wide(made_of(Surface(0.0, 1.0), *RIM, diameter=6.0), 10.6, 0.99), "misses surface 2"),
+    ("reflection", lambda: wide(made_of(Surface(0.0, 2.0, GLASS), Surface(-1 / 10, 20.0), diameter=4.0), 15.0, 0.95), "totally reflected"),
+    ("marginal ray", lambda: made_of(*RIM, diameter=10.6, stop=1), "marginal ray .* surface 1"),
+    ("virtual", lambda: made_of(Surface(-0.02, 3.0, GLASS), Surface(0.0, 5.0)), "positive focal"),
+    ("configuration", lambda: pixsim.load_lens(DATA / "telephoto.toml", configuration=2), "like every .toml file"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "call", "words"), REFUSED)
+def test_rays_that_do_not_exist_are_refused(name: str, call: Callable[[], object], words) -> None:
+    with pytest.raises(PixsimError, match=words):
+        call()
