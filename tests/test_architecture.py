@@ -1,16 +1,21 @@
-"""Structure of the package: allowed imports between packages, and public names."""
+"""Structure of the package: allowed imports between packages, public names, and its language by
+counts.
+"""
 
 import ast
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from helpers.language import by_room, placeholders
 from helpers.measure import (
     PACKAGE,
     arrows_of,
@@ -121,24 +126,20 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
     return {(package, other) for package, other in pairs if package != other}
 
 
-def result_types() -> list[type[Result]]:
-    """Types of results, with those that extend them."""
-    for module in pixsim.PRESENTERS.values():
-        import_module(f"pixsim.{module}")
-    kinds, left = [], [Result]
-    while left:
-        left = [
-            kind
-            for parent in left
-            for kind in parent.__subclasses__()
-            if kind.__module__.startswith("pixsim.")
-        ]
-        kinds += left
-    return kinds
+def types_below(kind: type) -> list[type]:
+    """The types of pixsim that extend one, at any depth."""
+    return [
+        extended
+        for child in kind.__subclasses__()
+        if child.__module__.startswith("pixsim.")
+        for extended in (child, *types_below(child))
+    ]
 
 
 def test_results_are_frozen_records_that_are_presented() -> None:
-    kinds = result_types()
+    for module in pixsim.PRESENTERS.values():
+        import_module(f"pixsim.{module}")
+    kinds = types_below(Result)
     assert set(pixsim.PRESENTERS) <= {kind.__name__ for kind in kinds}
     for kind in kinds:
         assert is_dataclass(kind), kind
@@ -175,37 +176,33 @@ BUILD_IMAGING = {
 }  # with the records as arguments
 
 
+def parts_of(function: ast.FunctionDef) -> set[str]:
+    """Parts of `Imaging` that a function takes, by the words of its annotations."""
+    arguments = (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)
+    hints = (ast.unparse(argument.annotation) for argument in arguments if argument.annotation)
+    words = {word for hint in hints for word in re.findall(r"\w+", hint)}
+    return {part for word, part in PARTS_OF_IMAGING.items() if word in words}
+
+
 def test_functions_between_light_and_score_take_imaging() -> None:
     """Of viewer and studies none takes more than two of its parts one by one."""
-    many = {}
-    for module in (name for name in MODULES if name.startswith(("viewer.", "studies."))):
-        for node in ast.walk(tree(module)):
-            if isinstance(node, ast.FunctionDef):
-                arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
-                words = {
-                    word
-                    for argument in arguments
-                    if argument.annotation
-                    for word in re.findall(r"\w+", ast.unparse(argument.annotation))
-                }
-                many[f"{module}.{node.name}"] = {
-                    part for word, part in PARTS_OF_IMAGING.items() if word in words
-                }
-    assert {name for name, parts in many.items() if len(parts) > 2} == BUILD_IMAGING
+    assert {
+        f"{module}.{node.name}"
+        for module in MODULES
+        if module.startswith(("viewer.", "studies."))
+        for node in ast.walk(tree(module))
+        if isinstance(node, ast.FunctionDef) and len(parts_of(node)) > 2
+    } == BUILD_IMAGING
 
 
 def test_architecture_names_each_file_of_studies() -> None:
     page = Path(__file__).parents[1] / "docs/architecture.md"
     if not page.is_file():
         pytest.skip("the tests are installed without the pages' sources")
-    section = (
-        page.read_text(encoding="utf-8")
-        .partition("### The files of `studies/`")[2]
-        .partition("\nKeys decide")[0]
-    )
+    text = page.read_text(encoding="utf-8").partition("### The files of `studies/`")[2]
+    section = text.partition("\nKeys decide")[0]
     files = {path.stem for path in (PACKAGE / "studies").glob("*.py")} - {"__init__"}
-    unnamed = {name for name in files if f"`{name}`" not in section}
-    assert not unnamed, (
+    assert not {name for name in files if f"`{name}`" not in section}, (
         "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
     )
 
@@ -214,12 +211,9 @@ def test_name_of_a_class_stands_once() -> None:
     """A reader who meets a class by its name, in an error or a type, finds the one that is
     meant.
     """
-    places: dict[str, list[str]] = {}
-    for module in MODULES:
-        for node in tree(module).body:
-            if isinstance(node, ast.ClassDef):
-                places.setdefault(node.name, []).append(module)
-    assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
+    nodes = (node for module in MODULES for node in tree(module).body)
+    counts = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
+    assert {name: count for name, count in counts.items() if count > 1} == {}
 
 
 def test_files_are_in_packages() -> None:
@@ -227,24 +221,14 @@ def test_files_are_in_packages() -> None:
     assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
-def test_packages_import_allowed_packages_only() -> None:
-    backwards = {
+@pytest.mark.parametrize("settings", [False, True])
+def test_packages_import_allowed_packages_only(settings: bool) -> None:
+    others = KNOWS_SETTINGS_OF if settings else {}
+    assert not {
         (package, other)
-        for package, other in package_arrows(settings=False)
-        if other not in ALLOWED[package]
+        for package, other in package_arrows(settings=settings)
+        if other not in (*ALLOWED[package], *others.get(package, ()))
     }
-    assert not backwards
-
-
-def test_packages_import_settings_of_allowed_packages_only() -> None:
-    importable = {
-        name: {*others, *KNOWS_SETTINGS_OF.get(name, ())} for name, others in ALLOWED.items()
-    }
-    assert {
-        (package, other)
-        for package, other in package_arrows(settings=True)
-        if other not in importable[package]
-    } == set()
 
 
 @pytest.mark.parametrize("module", sorted(SETTINGS))
@@ -297,12 +281,13 @@ BELOW_ANSWERS = {*ANSWERS, "design", "film_error", "merit", "sentences", "settin
 
 @pytest.mark.parametrize("module", ANSWERS)
 def test_functions_of_a_table_import_no_command(module: str) -> None:
-    reached, left = set[str](), {f"studies.{module}"}
-    while left:
-        reached |= left
-        left = {
-            other for name in left for other in arrows()[name] if other.startswith("studies.")
-        } - reached
+    graph = {
+        name: {other for other in others if other.startswith("studies.")}
+        for name, others in arrows().items()
+    }
+    reached = {f"studies.{module}"}
+    for _ in graph:
+        reached |= {other for name in reached for other in graph[name]}
     assert {name.removeprefix("studies.") for name in reached} <= BELOW_ANSWERS
     assert not any(
         name.startswith(("report.", "cli.")) for reader in reached for name in arrows()[reader]
@@ -360,8 +345,6 @@ def test_type_checking_imports_match_lazy_names() -> None:
 
 
 def test_version_is_consistent() -> None:
-    from importlib.metadata import version
-
     assert pixsim.__version__ == version("pixsim")
     project = Path(__file__).parents[1] / "pyproject.toml"
     assert (
@@ -392,3 +375,37 @@ def test_guard_is_entered_by_its_doors(module: str) -> None:
         if name not in DOORS.get(room, ()) and f"{room}.{name}" not in DOORS
     }
     assert not outside
+
+
+# --- Language
+# ---------------------------------------------------------------------------------------------------
+
+COUNTS = by_room(PACKAGE)
+
+
+def test_names_say_what_things_are() -> None:
+    """Few names are placeholders, such as `own` or `found`; public names of 1.1 are among them."""
+    names = [
+        f"{path.relative_to(PACKAGE)}:{line}: {name}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for line, name in placeholders(tree_of(path))
+    ]
+    assert len(names) <= 100, "\n".join(names)
+
+
+@pytest.mark.parametrize("room", [room for room in COUNTS if room != "all"])
+def test_lines_are_short(room: str) -> None:
+    """All are at most 100 columns wide."""
+    assert COUNTS[room]["wide"] == 0
+
+
+def test_lines_hold_little() -> None:
+    """At most 9.5 nodes of the syntax tree stand on a line of code, as in the models of this field
+    (5 to 10).
+    """
+    assert COUNTS["all"]["nodes"] / COUNTS["all"]["code"] <= 9.5
+
+
+def test_docstrings_can_be_read_alone() -> None:
+    """At most 5 in 10 000 words send the reader elsewhere, as `as of prepare_scene` does."""
+    assert 1e4 * COUNTS["all"]["references"] / COUNTS["all"]["words"] <= 5

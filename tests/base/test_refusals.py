@@ -1,27 +1,44 @@
-"""Settings that do not go together, and words and units of data sheets. Single fields are in
-tests/test_refusals.py.
+"""What is refused: settings that do not go together, words and units of data sheets, numbers at the
+ends of their range in functions and free tables; and that no message quotes a file.
+
+Single fields are in tests/test_refusals.py.
 """
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import numpy as np
 import pytest
+from numpy.typing import ArrayLike
+from pydantic import Field, create_model
 
 import pixsim
-from pixsim.base import cache
+from pixsim.base import cache, door
+from pixsim.base.bounds import POSITIVE
 from pixsim.base.errors import PixsimError
+from pixsim.base.problems import explain
+from pixsim.base.records import Record, checked
 from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.optics.prescription import read_prescription
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.pixel_options import Pixel, PixelOptions
+from pixsim.sensor.technology import load_technology
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
 from pixsim.studies.settings import Study
-from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import run_settings, settings_layer
 
-TECHNOLOGY = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
+DATA = Path(pixsim.__file__).parent / "data"
+TECHNOLOGY = DATA / "technologies/0.35um.toml"
+INCOMPLETE = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}
+ADDED = {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
 CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "a data sheet below the pitch of its process": (
         lambda: derive(Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0)),
@@ -31,7 +48,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: derive(
             Pixel(pitch_um=2.4, full_well_e=6e3, read_noise_e=1.5, quantum_efficiency=0.6)
         ),
-        r"pitch_um: got 2\.4; .*Give dark_current_e_per_s",
+        r"pitch_um: got 2\.4; .*If you give dark_current_e_per_s",
     ),
     "a pitch that transistors fill": (
         lambda: derive(Pixel(technology="0.35um", pitch_um=2.4)),
@@ -44,6 +61,22 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "quick, of a study": (
         lambda: pixsim.study(Study(name="x"), "out", quick=True),
         "quick: got with a Study",
+    ),
+    "files of settings, of a study": (
+        lambda: pixsim.study(Study(name="x"), "out", config=["sensor.toml"]),
+        "config: got with a Study",
+    ),
+    "a study of an incomplete data sheet": (
+        lambda: Study(name="a", technologies=["none"], pixel=INCOMPLETE),
+        "missing: data_sheet_pitch_um, quantum_efficiency",
+    ),
+    "a study of a data sheet and a technology": (
+        lambda: Study(name="a", technologies=["none", "0.35um"], pixel=INCOMPLETE | ADDED),
+        r"'none' is the data sheet of \[pixel\]; give it alone",
+    ),
+    "pixels of a study without a pitch": (
+        lambda: Study(name="a", camera={"pixels": [500, 400]}),
+        "needs the pitch of the sensor",
     ),
     "a focus within the focal length": (
         lambda: CameraOptions(object_distance_m=0.05).over(Camera(focal_length_mm=50)),
@@ -116,3 +149,186 @@ def test_sizes_that_no_cache_can_have_are_refused(
     monkeypatch.setenv(cache.LIMIT_VARIABLE, size)
     with pytest.raises(PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
         cache.limit_bytes()
+
+
+# --- Numbers at the ends of their range
+# ---------------------------------------------------------------------------------------------------
+
+MAX_CPU_S = 5.0  # subnormal numbers make operations slow
+
+
+def checked_as(hint: Any) -> Callable[[Any], Any]:
+    """A public function that returns its argument."""
+
+    def value_of(pitch_um: Any) -> Any:
+        return pitch_um
+
+    value_of.__annotations__["pitch_um"] = hint
+    return door.checked(value_of, "pixsim.value_of")
+
+
+@pytest.mark.parametrize("bounds", [POSITIVE, Field(gt=0)], ids=["function", "record"])
+@pytest.mark.parametrize("value", [5e-324, 9e-31, -1e-320, 0.0])
+def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
+    """Also in arrays; 1e-30 is the smallest."""
+    words = r"pitch_um.*: got .*allowed: .*number.* above 0 \(1e-30 or more\)"
+    for kind, argument in (
+        (float, value),
+        (ArrayLike, [1.0, value]),
+        (tuple[float, float], (1.0, value)),
+    ):
+        with pytest.raises(PixsimError, match=words):
+            checked_as(Annotated[kind, bounds])(argument)
+        checked_as(Annotated[kind, bounds])(1e-30 if kind is float else (1.0, 1e-30))
+
+
+@pytest.mark.parametrize(
+    ("field", "allowed"),
+    [
+        (Field(ge=2, le=3), [2.0, 2.5, 3.0]),
+        (Field(gt=0, lt=3.5), [1.5, 2.0, 2.5, 3.0]),
+        (Field(ge=2, lt=3.5), [2.0, 2.5, 3.0]),
+    ],
+)
+def test_functions_share_the_bounds_of_records(field: Any, allowed: list[float]) -> None:
+    function = checked_as(Annotated[float, field])
+    record = create_model("Shared", __base__=Record, number=(Annotated[float, field], 2.0))
+    for value in allowed:
+        assert function(value) == record(number=value).number == value
+    for value in {0.0, 1.5, 2.0, 2.5, 3.0, 3.5, float("nan")} - {*allowed}:
+        for call in (partial(function, value), partial(record, number=value)):
+            with pytest.raises(PixsimError):
+                call()
+
+
+FREE_TABLES = {
+    "axis": "[[axis]]\nname = 'a'\nset = 'pixel.read_noise_e'\nvalues = [1.0, {}]",
+    "scene": "[scene.parameters]\nluminance_cd_per_m2 = {}",
+    "curve": "pixel.quantum_efficiency = 'qe.csv'",
+    "process": "process.'0.35um'.prnu = {}",
+}
+
+
+@pytest.mark.parametrize("value", ["1e-320", "1e308", "inf", "nan"])
+@pytest.mark.parametrize("table", FREE_TABLES)
+def test_extremes_in_free_tables_of_a_study_are_refused(
+    table: str, value: str, tmp_path: Path
+) -> None:
+    (tmp_path / "qe.csv").write_text(f"400,{value}\n700,{value}\n", encoding="utf-8")
+    text = f"name = 'x'\n{FREE_TABLES[table].format(value)}\n"
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    start = time.process_time()
+    with pytest.raises(PixsimError):
+        prepare(load_study(tmp_path / "s.toml"))
+    assert time.process_time() - start < MAX_CPU_S
+
+
+def test_a_zero_has_no_sign() -> None:
+    assert repr(PixelOptions(offset_fpn=-0.0).offset_fpn) == "0.0"
+
+
+# --- Messages quote no file: it may be another than the user believes, such as a key, where a study
+# or a scene names it
+# ---------------------------------------------------------------------------------------------------
+
+KEY = "wJalrXUtnFEMI/K7MDENG bPxRfi/CYEXAMPLEKEY"  # as of a service, with a space
+WORD = "wJalrXUtnFEMIK7MDENG"
+PARTS = re.compile("wJal|UtnF|K7MD|bPxR|EXAMPLE", re.IGNORECASE)
+ZMX = """UNIT MM
+ENPD 10
+FTYP 0 0 1 1
+YFLN 1
+WAVM 1 0.55 1
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.01
+  DISZ 2
+  GLAS N-BK7 0 0
+SURF 2
+  DISZ 0
+"""
+SCENE = '<scene version="3.0.0"><bsdf type="diffuse" id="a"/>{}</scene>'
+READERS: dict[str, Callable[[Path], object]] = {
+    "toml lens": lambda path: read_prescription(str(path)),
+    "zmx": lambda path: read_prescription(str(path)),
+    "technology": lambda path: load_technology(str(path)),
+    "csv": lambda path: PixelOptions.model_validate({"quantum_efficiency": str(path)}),
+    "channels": lambda path: PixelOptions.model_validate({"colour": {"sensitivities": str(path)}}),
+    "settings": lambda path: checked(Run, [settings_layer(path)]),
+    "xml": lambda path: pixsim.load_scene(path, variant="scalar_spectral"),
+}
+SUFFIXES = {"zmx": ".zmx", "csv": ".csv", "channels": ".csv", "xml": ".xml"}
+
+
+def edits(text: str) -> list[str]:
+    """A text with the key in place of each of its words, once each, and as whole lines of it."""
+    words = list(re.finditer(r"[^\s=\[\]{}\",]+", text))
+    lines = text.splitlines(keepends=True)
+    in_words = [
+        text[: word.start()] + key + text[word.end() :]
+        for word in words[:: max(1, len(words) // 60)]
+        for key in (KEY, f'"{KEY}"')
+    ]
+    in_lines = [
+        "".join([*lines[:at], line, *lines[at:]])
+        for at in (0, len(lines) // 2, len(lines))
+        for line in KEY_LINES
+    ]
+    return [*in_words, *in_lines]
+
+
+KEY_LINES = (
+    f"{KEY}\n", f'"{KEY}" = 1\n', f'"{KEY}" = 1\n"{KEY}" = 2\n', f'[x]\n"{KEY}" = {{ a = 1, a = 2 }}\n', f'["{KEY}"]\n["{KEY}"]\n',
+    f"SURF {KEY}\n", f"  TYPE {KEY}\n", f"  CURV {KEY}\n", f"  GLAS {KEY}\n", f"GCAT {KEY}\n", f"MODE {KEY}\n",
+)  # fmt: skip
+CONTENTS = {
+    "toml lens": edits((DATA / "lenses/singlet.toml").read_text(encoding="utf-8")), "zmx": edits(ZMX), "technology": edits(TECHNOLOGY.read_text(encoding="utf-8")),
+    "csv": edits("wavelength_nm,qe\n400,0.1\n700,0.5\n"),
+    "channels": edits("nm,R,G,B\n400,0.1,0.2,0.3\n700,0.5,0.2,0.1\n"),
+    "settings": edits('[camera]\nf_number = 2.8\n[pixel]\nbits = 10\ntemperature_k = 300\n[display]\ndots = 100\n'),
+    "xml": [
+        f"<{WORD}/>", KEY, f'<scene version="{KEY}"/>',
+        f'<?xml version="1.0" encoding="{KEY}"?><scene/>',
+        *(SCENE.format(part) for part in (
+            f"<{WORD}/>", f'<bsdf type="{KEY}"/>', f'<bsdf type="diffuse" id="{KEY}"/>' * 2,
+            f'<ref id="{KEY}"/>', f'<bsdf type="diffuse"><float name="{KEY}" value="1"/></bsdf>',
+            f'<default name="{KEY}" value="1"/>',
+            f'<shape type="sphere"><float name="radius" value="{KEY}"/></shape>', f'<bsdf type="diffuse" {WORD}="1"/>',
+            f'<shape type="cube"><transform name="to_world"><matrix value="{KEY}"/></transform></shape>',
+            f'<bsdf type="conductor"><string name="material" value="{KEY}"/></bsdf>', f'<alias id="{KEY}" as="{KEY}"/>',
+            f'<bsdf type="plastic"><boolean name="nonlinear" value="{KEY}"/></bsdf>', f'<path value="{KEY}"/>',
+            f'<emitter type="constant"><spectrum name="radiance" value="{KEY}"/></emitter>', f"<bsdf>{KEY}</bsdf>",
+        )),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", CONTENTS)
+def test_no_message_quotes_a_file(kind: str, tmp_path: Path) -> None:
+    path, refused = tmp_path / f"x{SUFFIXES.get(kind, '.toml')}", 0
+    for text in CONTENTS[kind]:
+        path.write_text(text, encoding="utf-8")
+        try:
+            READERS[kind](path)
+        except ValueError as error:  # of pydantic too
+            message = str(error) if isinstance(error, PixsimError) else explain(error)
+            assert not PARTS.search(message), text
+            refused += 1
+    assert refused > len(CONTENTS[kind]) / 3
+
+
+def test_what_the_user_types_is_quoted(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.xml"
+    text = (
+        '<default name="r" value="1"/><shape type="sphere"><float name="radius"'
+        ' value="$r"/></shape>'
+    )
+    scene.write_text(SCENE.format(text), encoding="utf-8")
+    with pytest.raises(PixsimError, match=f"^r: got '{KEY[:8]}"):
+        pixsim.load_scene(scene, r=KEY, variant="scalar_spectral")
+    light = {"data": np.ones((2, 2, 1)), "wavelength_nm": [550.0], "band_width_nm": [10.0]}
+    np.savez(tmp_path / "a.npz", **light)
+    with pytest.raises(PixsimError, match=re.escape(f"got '{KEY}'")):
+        pixsim.read_irradiance(tmp_path / "a.npz", units=KEY, pitch_um=1.0)
