@@ -1,10 +1,13 @@
-"""Comparison with the paper: closed forms, and rows that agree if and only if the evidence does."""
+"""Comparison with the paper: closed forms, rows that agree if and only if the evidence does, and what
+another study over it, whose axes are moved alone, does to these statements.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,21 +15,23 @@ import numpy as np
 import pytest
 from helpers.chains import imaging
 from helpers.claims import Claim
+from helpers.tiny import COARSE, PITCHES_UM, keys, tiny, tiny_toml
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+import pixsim
+from pixsim import Pixel, load_technology
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.lens_options import LensOptions
+from pixsim.report.axes import verdict_words
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.stack_options import StackOptions
-from pixsim.sensor.technology import load_technology
 from pixsim.studies.claims import (
     FIGURE_2_INTEGRATION_S,
     Evidence,
@@ -42,10 +47,12 @@ from pixsim.studies.claims import (
     prominent_maxima,
     reference_process,
     rise,
+    scaling_rows,
     threshold_contrast,
+    verdicts,
 )
-from pixsim.studies.curve import Curve
-from pixsim.studies.design import pixel_of
+from pixsim.studies.curve import CaseLabels, Curve
+from pixsim.studies.design import cases_of, pixel_of, with_range_ends
 from pixsim.studies.files import load_study
 from pixsim.studies.lights import Light
 from pixsim.studies.merit import (
@@ -59,8 +66,9 @@ from pixsim.studies.merit import (
     system_mtf,
 )
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.result import StudyResult
-from pixsim.studies.settings import Study
+from pixsim.studies.prepare import check_pitches
+from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.settings import Axis, Study
 from pixsim.viewer.mtf import mtf_terms
 
 Array = np.ndarray
@@ -115,7 +123,8 @@ HOT = Study(name="known", process={"0.35um": {"dark_current_na_per_cm2": 30.0}})
 PAPER = derive(Pixel(capacitance="paper"))
 WELL_E = PAPER.full_well_e
 HOT_E = 30 * PAPER.dark_current_e_per_s * FIGURE_2_INTEGRATION_S
-LINE_555_NM = np.where(np.arange(65) == 31, 1.0, 0.0)
+PAPER_NM = np.arange(400.0, 721.0, 5.0)
+LINE_555_NM = np.where(PAPER_NM == 555.0, 1.0, 0.0)
 EQUAL = np.ones(1)
 
 
@@ -124,19 +133,17 @@ def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, Pixel]:
     pixel of 6.5 µm.
     """
     study = load_study("chen2000")
-    nm = np.arange(400.0, 721.0, 5.0)
-    factors = (d65(nm) if spectrum is None else spectrum)[None], np.ones((1, 4, 4))
-    light = SpectralImage(nm, 5.0, 1e3 * DIE_MM / 4, factors=factors)
+    factors = (d65(PAPER_NM) if spectrum is None else spectrum)[None], np.ones((1, 4, 4))
+    light = SpectralImage(PAPER_NM, 5.0, 1e3 * DIE_MM / 4, factors=factors)
     return MapStudy(study, (), Light(light, Camera())), pixel_of(study, "0.35um", 6.5)
 
 
 def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
     result = daylight()
-    readout = Readout.of(derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0)))
-    exposure_lx_s = mpe30_lx_s(result, readout.physics, integration_s)
-    e_per_lx_s_um2 = sensitivity_e_per_lx_s_um2(result, readout.physics)
-    signal_e = exposure_lx_s * e_per_lx_s_um2 * readout.physics.photodiode_area_um2
-    return float(readout.snr_db(signal_e, integration_s))
+    physics = derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0))
+    exposure_lx_s = mpe30_lx_s(result, physics, integration_s)
+    e_per_lx_s = sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
+    return float(Readout.of(physics).snr_db(exposure_lx_s * e_per_lx_s, integration_s))
 
 
 def sensitivity(response: str = "literal", cut_nm: float | None = None, **form: Any) -> float:
@@ -296,11 +303,6 @@ CLAIMS = [
 ]
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=str)
-def test_closed_forms(claim: Claim) -> None:
-    claim.check()
-
-
 STACK = {"height_um": 8.0, "index": 1.5, "shift": "optimal"}
 
 
@@ -346,11 +348,6 @@ STACK_CLAIMS = [
         rtol=1e-12,
     ),
 ]
-
-
-@pytest.mark.parametrize("claim", STACK_CLAIMS, ids=str)
-def test_terms_of_a_stack_take_the_place_of_the_photodiode(claim: Claim) -> None:
-    claim.check()
 
 
 def test_terms_of_detail_are_those_of_a_frequency_of_the_picture() -> None:
@@ -472,8 +469,8 @@ MAP_CLAIMS = [
 ]
 
 
-@pytest.mark.parametrize("claim", MAP_CLAIMS, ids=str)
-def test_maps_and_processes(claim: Claim) -> None:
+@pytest.mark.parametrize("claim", [*CLAIMS, *STACK_CLAIMS, *MAP_CLAIMS], ids=str)
+def test_closed_forms(claim: Claim) -> None:
     claim.check()
 
 
@@ -559,6 +556,7 @@ def evidence(
     return Evidence(lit(ONE_LINE, 10.0, np.ones(1), maps=sensor_maps), curves)
 
 
+# 5 to 73 % of 5.3 to 15 µm are areas as pitch^4.6, not the pitch^1 that √pitch would take.
 GROWTH = {"DR grows roughly as √pitch", "SNR at 20 % well grows roughly as √pitch"}
 OPTIMUM, ITS_FILL_FACTOR = "Optimal pixel size at 0.35 µm", "Its fill factor"
 EIGHT, SIX = "Iso-ΔE = 3: 8 µm is better than 15 µm", "Iso-ΔE = 3: 6 µm is better than 8 µm"
@@ -579,36 +577,17 @@ STATEMENTS = {
 }
 
 
-def moved(reference: Evidence, technology: str, **best: object) -> Evidence:
-    """With another optimum of one technology."""
-    curve = reference.curves[technology]
-    other = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, **best)))
-    return Evidence(reference.result, reference.curves | {technology: other})
-
-
 def table(data: Evidence) -> dict[str, Finding]:
     return {row.statement: row for row in findings(data)}
 
 
-def test_findings_good_evidence_agrees() -> None:
-    rows = table(evidence())
-    assert rows.keys() == STATEMENTS
-    # 5 to 73 % of 5.3 to 15 µm are areas as pitch^4.6, not the pitch^1 that √pitch would take.
-    assert {name for name, row in rows.items() if not row.agrees} == GROWTH
-
-
-RATIO_FALLS = {
-    "0.5um": 13.0,
-    "0.35um": 6.5,
-    "0.25um": 4.4,
-    "0.18um": 3.0,
-}  # 26, 18.6, 17.6 and 16.7 features
-GROWS = {"0.5um": 6.0, "0.35um": 6.5, "0.25um": 7.0, "0.18um": 7.5}
-TOO_LARGE = {"0.5um": 10.0, "0.35um": 9.0, "0.25um": 6.6, "0.18um": 4.8}  # 25.7 and 26.7 features
 FLIPS = {
-    "optimum at 9 µm": ({"optima_um": TOO_LARGE}, {OPTIMUM, ITS_FILL_FACTOR}),
-    "optima grow": ({"optima_um": GROWS}, {SHRINKS}),
-    "faster than technology": ({"optima_um": RATIO_FALLS}, {SLOWER}),
+    "none": ({}, set()),
+    # 25.7 and 26.7 features of 0.35 and 0.25 µm
+    "optimum at 9 µm": ({"optima_um": {"0.5um": 10.0, "0.35um": 9.0, "0.25um": 6.6, "0.18um": 4.8}}, {OPTIMUM, ITS_FILL_FACTOR}),
+    "optima grow": ({"optima_um": {"0.5um": 6.0, "0.35um": 6.5, "0.25um": 7.0, "0.18um": 7.5}}, {SHRINKS}),
+    # 26, 18.6, 17.6 and 16.7 features
+    "faster than technology": ({"optima_um": {"0.5um": 13.0, "0.35um": 6.5, "0.25um": 4.4, "0.18um": 3.0}}, {SLOWER}),
     # 17.2, 18.6, 26.4, 21.7
     "one optimum out of order": ({"optima_um": OPTIMA_UM | {"0.25um": 6.6}}, {SHRINKS, SLOWER}),
     "errors shrink with technology": ({"best": dict(zip(BEST, (0.6, 0.55, 0.5, 0.45), strict=True))}, {WORSE}),
@@ -628,36 +607,61 @@ FLIPS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("flip", FLIPS)
-def test_findings_contrary_evidence_flips_one_row(flip: str) -> None:
-    change, against = FLIPS[flip]
+@pytest.mark.parametrize(("change", "against"), FLIPS.values(), ids=FLIPS)
+def test_findings_contrary_evidence_flips_one_row(
+    change: dict[str, Any], against: set[str]
+) -> None:
     rows = table(evidence(**change))
     assert rows.keys() == STATEMENTS, "a row that does not agree stays in"
     assert {name for name, row in rows.items() if not row.agrees} == GROWTH | against
 
 
 @pytest.mark.parametrize(
-    ("pitch_um", "agrees"), [(6.05, False), (6.15, True), (6.85, True), (6.95, False)]
+    ("technology", "change", "statement", "agrees"),
+    [
+        # about 6.5 µm: within 0.4 µm
+        ("0.35um", {"pitch_um": 6.05}, OPTIMUM, False),
+        ("0.35um", {"pitch_um": 6.15}, OPTIMUM, True),
+        ("0.35um", {"pitch_um": 6.85}, OPTIMUM, True),
+        ("0.35um", {"pitch_um": 6.95}, OPTIMUM, False),
+        # a minimum at an end is no optimum, and no part of a trend
+        ("0.35um", {"inside": False}, OPTIMUM, False),
+        ("0.25um", {"inside": False}, OPTIMUM, True),
+        *(
+            (name, {"inside": False}, trend, False)
+            for name in FEATURE_UM
+            for trend in (SHRINKS, SLOWER, WORSE)
+        ),
+        # Optima that shrink, 8.6 to 3.9 µm: the largest process's may be as small as its interval
+        # allows, the smallest's as large.
+        ("0.5um", {"interval_um": (8.0, None)}, SHRINKS, True),
+        ("0.5um", {"interval_um": (None, 9.0)}, SHRINKS, False),
+        # 4.8 µm of uncertainty, 4.7 µm of trend
+        ("0.5um", {"interval_um": (3.8, 9.0)}, SHRINKS, False),
+        ("0.18um", {"interval_um": (None, 4.0)}, SHRINKS, True),
+        ("0.18um", {"interval_um": (3.8, None)}, SHRINKS, False),
+    ],
 )
-def test_about_6_5_um_is_within_0_4_um(pitch_um: float, agrees: bool) -> None:
-    assert table(moved(evidence(), "0.35um", pitch_um=pitch_um))[OPTIMUM].agrees is agrees
+def test_findings_of_another_optimum(
+    technology: str, change: dict[str, Any], statement: str, agrees: bool
+) -> None:
+    reference = evidence()
+    curve = reference.curves[technology]
+    other = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, **change)))
+    rows = table(Evidence(reference.result, reference.curves | {technology: other}))
+    assert rows[statement].agrees is agrees
 
 
 def test_findings_numbers_are_the_evidence() -> None:
-    """The middles of the six bins are (100/3)^(1/12) to (100/3)^(11/12) lp/mm; the thresholds above
-    cross between 3 and 4.
+    """The law's fill factor of 31.0 %; the middles of the six bins are (100/3)^(1/12) to
+    (100/3)^(11/12) lp/mm, and the thresholds above cross between 3 and 4.
     """
     rows = table(evidence())
-    assert rows[ITS_FILL_FACTOR].found == "31 %"  # the law's 31.0 %
-    assert rows[SLOWER].found == "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm"
-    assert rows[CROSS].found == "6 µm better at 1.3, 2.4, 4.3 lp/mm, 5.3 µm at 7.7, 14, 25 lp/mm"
-
-
-@pytest.mark.parametrize("technology", FEATURE_UM)
-def test_findings_minimum_at_end_is_no_trend(technology: str) -> None:
-    rows = table(moved(evidence(), technology, inside=False))
-    assert rows[OPTIMUM].agrees == (technology != "0.35um")
-    assert not any(rows[name].agrees for name in (SHRINKS, SLOWER, WORSE))
+    assert {name: rows[name].found for name in (ITS_FILL_FACTOR, SLOWER, CROSS)} == {
+        ITS_FILL_FACTOR: "31 %",
+        SLOWER: "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm",
+        CROSS: "6 µm better at 1.3, 2.4, 4.3 lp/mm, 5.3 µm at 7.7, 14, 25 lp/mm",
+    }
 
 
 # Intervals ±0.3 and ±0.4 at the ends: the whole rise has to exceed 0.5.
@@ -689,39 +693,25 @@ def test_rise_verdicts(
 
 
 @pytest.mark.parametrize(
-    ("technology", "interval_um", "agrees"),
+    ("size", "settings", "percent"),
     [
-        ("0.5um", (8.0, None), True),  # 8.6 to 3.9 µm
-        ("0.5um", (None, 9.0), False),
-        ("0.5um", (3.8, 9.0), False),  # 4.8 µm of uncertainty, 4.7 µm of trend
-        ("0.18um", (None, 4.0), True),
-        ("0.18um", (3.8, None), False),
+        ("15", {"process": {"0.35um": {"fill_factor_limit": 0.413}}}, 36.45),  # half of 72.9
+        # ((p - s)² - (p0 - s)²)/p² with s = 4.9 F and p0 = 14.54 F
+        (
+            "6.5",
+            {"pixel": {"fill_factor_law": "inset_unlimited"}},
+            100 * (4.785**2 - 3.374**2) / 42.25,
+        ),
     ],
 )
-def test_findings_trend_uses_right_interval_ends(
-    technology: str, interval_um: Interval, agrees: bool
-) -> None:
-    """Optima that shrink: the largest process's may be as small as its interval allows, the
-    smallest's as large.
-    """
-    rows = table(moved(evidence(), technology, interval_um=interval_um))
-    assert rows[SHRINKS].agrees is agrees
-
-
-def finding_of(name: str, **study: object) -> Finding:
-    settings = Study.model_validate({"name": "known", "iso_delta_e": ISO} | study)
+def test_findings_follow_study_process(size: str, settings: dict[str, Any], percent: float) -> None:
+    """Half of the fill factor, and another law, as printed to 0.1 %."""
     reference = evidence()
-    return table(Evidence(replace(reference.result, study=settings), reference.curves))[name]
-
-
-def test_findings_follow_study_process() -> None:
-    """Half of the fill factor, and another law: the rows are those of the study."""
-    half = finding_of("Fill factor at 15 µm", process={"0.35um": {"fill_factor_limit": 0.413}})
-    assert (half.found, half.agrees) == ("36.5 %", False)  # 72.9 / 2
-    # ((p - s)² - (p0 - s)²)/p² with s = 4.9 F and p0 = 14.54 F, as printed to 0.1 %.
-    law = finding_of("Fill factor at 6.5 µm", pixel={"fill_factor_law": "inset_unlimited"})
-    percent = float(law.found.removesuffix("%"))
-    assert percent == pytest.approx(100 * (4.785**2 - 3.374**2) / 42.25, abs=0.05)
+    study = Study.model_validate({"name": "known", "iso_delta_e": ISO} | settings)
+    data = Evidence(replace(reference.result, study=study), reference.curves)
+    row = table(data)[f"Fill factor at {size} µm"]
+    assert float(row.found.removesuffix("%")) == pytest.approx(percent, abs=0.06)
+    assert not row.agrees
 
 
 def test_findings_omit_rows_without_data() -> None:
@@ -730,3 +720,196 @@ def test_findings_omit_rows_without_data() -> None:
     assert table(evidence({"0.35um": 6.5})).keys() == STATEMENTS - scaling
     others = table(evidence({"0.25um": 5.0, "0.18um": 3.9})).keys()
     assert others & (scaling | {OPTIMUM, ITS_FILL_FACTOR, EIGHT, CROSS, UNIMODAL}) == scaling
+
+
+# A chart whose cells are computed, on few dots; every pitch that the paper's statements need.
+BASE_TOML = tiny_toml(
+    repeats=4,
+    seed=1,
+    technologies=["0.35um", "0.25um"],
+    paper=True,
+    pixel={"prnu": 0.02},
+    pitch={"values_um": [4.0, 5, 6, 7, 8]},
+    camera={"die_mm": 0.7},
+    display={"dots": 32},
+    resolution=COARSE,
+)
+SENSITIVITY_TOML = """
+name = "tiny-sensitivity"
+repeats = 2
+pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
+[[axis]]
+name = "PRNU"
+set = "pixel.prnu"
+values = [0.02]
+alone = true
+[[axis]]
+name = "light"
+values = [
+    { label = "half", set.scene.parameters.luminance_cd_per_m2 = 50.0 },
+    { label = "f/2.8", set.camera.f_number = 2.8 },
+]
+alone = true
+[[axis]]
+name = "dark current"
+range_of = "dark_current_na_per_cm2"
+alone = true
+[[axis]]
+name = "peak"
+range_of = "peak_quantum_efficiency"
+alone = true
+"""
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A working folder with both files."""
+    folder = tmp_path_factory.mktemp("desk")
+    (folder / "tiny.toml").write_text(BASE_TOML, encoding="utf-8")
+    (folder / "sensitivity.toml").write_text(SENSITIVITY_TOML, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def done(desk: Path) -> Any:
+    return pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1)
+
+
+def case(result: Any, axis: str, value: float | str) -> StudyResult:
+    (part,) = [
+        part
+        for part in result.parts
+        if part.curves[0].alone == axis and part.curves[0].at[axis] == value
+    ]
+    return part
+
+
+def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
+    """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its
+    upper end is 0.37. The random streams are those of the base.
+    """
+    study = with_range_ends(load_study("tiny.toml", "sensitivity.toml"))
+    assert (study.name, study.stream_name, study.repeats) == ("tiny-sensitivity", "tiny", 2)
+    labels = {axis.name: [point.label for point in axis.points] for axis in study.axis[2:]}
+    assert labels == {
+        "dark current": ["all low", "0.35um 0.333", "0.25um 1", "all high", "0.35um 3", "0.25um 9"],
+        "peak": ["0.25um 0.2", "0.25um 0.37"],
+    }
+    (high,) = [each for each in cases_of(study) if each.words == "dark current: all high"]
+    assert high.settings.process == {
+        "0.35um": {"dark_current_na_per_cm2": 3.0},
+        "0.25um": {"dark_current_na_per_cm2": 9.0},
+    }
+
+
+def axes(number: str, **process: float) -> tuple[Axis, ...]:
+    axis = {"name": "d", "range_of": number, "alone": True}
+    return with_range_ends(tiny(process={"0.35um": process}, axis=[axis])).axis
+
+
+def test_range_of_leaves_out_what_has_no_range_and_an_end_that_is_set() -> None:
+    """The peak of 0.35 µm is measured."""
+    with pytest.warns(UserWarning, match="no technology of the study has a range"):
+        assert axes("peak_quantum_efficiency") == ()
+    low, high = load_technology("0.35um").ranges["dsnu"]
+    (axis,) = axes("dsnu", dsnu=low)
+    assert [point.label for point in axis.points] == [f"0.35um {high:g}"]
+
+
+def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
+    """Same rows as the base run alone with these pitches and sensors: the random streams are its
+    own.
+    """
+    over = {"repeats": 2, "pitch": {"values_um": PITCHES_UM}}
+    alone = pixsim.study("tiny.toml", desk / "a", jobs=1, **over)
+    for curve, expected in zip(done.parts[0].curves, alone.curves, strict=True):
+        np.testing.assert_array_equal(curve.delta_e, expected.delta_e)
+    assert set(keys(desk / "a")) < set(keys(desk / "one"))
+
+
+def test_setting_of_the_base_changes_nothing(done: Any) -> None:
+    """The smallest pixel lacks light: half of it makes more noise, 2 (4/2.8)² less."""
+    base = done.parts[0].curves[0].delta_e
+    np.testing.assert_array_equal(case(done, "PRNU", 0.02).curves[0].delta_e, base)
+    assert (case(done, "light", "half").curves[0].delta_e[0] / base[0]).min() > 1.05
+    assert (case(done, "light", "f/2.8").curves[0].delta_e[0] / base[0]).max() < 0.95
+
+
+def test_unchanged_technology_is_computed_once(done: Any, desk: Path) -> None:
+    """Base, half and f/2.8 with two technologies, and each end in each technology: 12 pixels of a
+    technology each.
+    """
+    assert (done.counts.cases, done.counts.evaluations_made) == (12, 12 * 6 * 2)
+    alone = case(done, "dark current", "0.25um 9").curves
+    np.testing.assert_array_equal(alone[0].delta_e, done.parts[0].curves[0].delta_e)
+    assert (alone[1].delta_e != done.parts[0].curves[1].delta_e).any()
+    again: Any = pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1)
+    assert again.counts.evaluations_made == 0
+    assert again.as_dict() | {"counts": None} == done.as_dict() | {"counts": None}
+
+
+def test_statements_of_a_case_are_those_of_the_study_alone(done: Any, desk: Path) -> None:
+    """The rows of the paper's process are shared between cases that do not change it."""
+    part = case(done, "dark current", "all high")
+    study = part.study.model_copy(update={"streams": "tiny"})
+    whole = pixsim.study(study, desk / "whole", jobs=1)
+    statements = done.findings[done.parts.index(part)]
+    evidence_alone = Evidence(whole, {curve.technology: curve for curve in whole.curves})
+    assert list(statements) == findings(evidence_alone)
+    assert len(statements) == 17, "every statement of the paper"
+    unchanged = done.parts.index(case(done, "dark current", "0.25um 9"))
+    assert done.findings[unchanged][:-3] == done.findings[0][:-3]
+
+
+# --- verdicts
+
+
+def test_verdicts_list_the_cases_that_turn_them() -> None:
+    """Optima of 6.5 µm at 0.35 µm (base); narrow 6.4 and 12; wide 6 and 8: 18.6 features, and 20.8
+    and 22.8 of the others.
+
+    At 8 µm, 22.9 features, the optimum no longer shrinks slower. At 12 µm neither.
+    """
+    base = lit(ONE_LINE, 10.0, EQUAL)
+    parts = []
+    for axis, label, size_um in (
+        ("", "base", 6.5),
+        ("narrow", "a", 6.4),
+        ("narrow", "e", 12.0),
+        ("wide", "b", 6.0),
+        ("wide", "d", 8.0),
+    ):
+        values = {"narrow": "base", "wide": "base"} | ({axis: label} if axis else {})
+        optima_um = {"0.35um": size_um, "0.25um": 5.2, "0.18um": 4.1}
+        curves = (curve_of(name, optimum_um, BEST[name]) for name, optimum_um in optima_um.items())
+        case_labels = CaseLabels(values, alone=axis)
+        labelled = tuple(replace(curve, case=case_labels) for curve in curves)
+        parts.append(StudyResult(base.study, labelled, base.light))
+    by_technology = tuple(part.curves[place] for place in range(3) for part in parts)
+    rows = tuple(tuple(scaling_rows(part.curves)) for part in parts)
+    result = CasesResult(base.study, by_technology, base.light, parts=tuple(parts), findings=rows)
+    by_statement = {verdict.finding.statement: verdict for verdict in verdicts(result)}
+    words = [verdict_words(verdict) for verdict in by_statement.values()]
+    assert sorted(words) == ["", "", "narrow: e; wide: d"]
+    assert verdict_words(by_statement[SLOWER]) == "narrow: e; wide: d"
+    assert by_statement[SLOWER].finding.agrees
+
+
+# --- the packaged analysis
+
+
+def test_packaged_cases_are_valid_and_distinct() -> None:
+    """All 89 settings of the table in docs/paper.md, each for all four technologies; the base is
+    chen2000, as its verdicts.
+    """
+    cases = list(cases_of(with_range_ends(load_study("chen2000-sensitivity"))))
+    assert len(cases) == len({each.settings.content_hash for each in cases}) == 90
+    assert len({each.folder for each in cases}) == 90, "labels read alike"
+    for study in (each.settings for each in cases):
+        check_pitches(study)
+        assert (study.seed, study.stream_name, study.technologies) == (2000, "chen2000", (*BEST,))
+    chen2000 = load_study("chen2000")
+    names = {"name": "chen2000", "streams": None, "title": chen2000.title}
+    assert cases[0].settings.model_dump() | names == chen2000.model_dump()
