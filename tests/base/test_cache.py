@@ -22,6 +22,7 @@ from pixsim.base.locks import UNFINISHED, unfinished
 from pixsim.scene import charts
 
 NOT_ROOT = pytest.mark.skipif(os.geteuid() == 0, reason="root can write to any folder")
+REFUSED = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 CONTENT = {
     "picture": np.arange(24, dtype=np.float32).reshape(2, 3, 4),
     "codes": np.arange(5, dtype=np.uint16),
@@ -33,12 +34,6 @@ CONTENT = {
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     return tmp_path / "cache"
-
-
-@pytest.fixture
-def small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))  # 8 MiB
-    return folder
 
 
 def read(values: dict) -> dict:
@@ -55,8 +50,8 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def big(mib: float) -> cache.Arrays:
-    return {"zeros": np.zeros(int(mib * 2**20), np.uint8)}
+def store_zeros(key: str, mib: float = 1.0) -> None:
+    cache.store_arrays("kind", key, {"zeros": np.zeros(int(mib * 2**20), np.uint8)})
 
 
 def size_bytes() -> int:
@@ -79,20 +74,20 @@ def test_arrays_round_trip_is_exact(folder):
     assert cache.arrays("kind", "key") is None
     cache.store_arrays("kind", "key", CONTENT)
     arrays = cache.arrays("kind", "key")
-    assert arrays.keys() == CONTENT.keys()
-    for name, values in CONTENT.items():
-        assert arrays[name].dtype == np.asarray(values).dtype
-        np.testing.assert_array_equal(arrays[name], values)
+    assert {name: values.dtype for name, values in arrays.items()} == {
+        name: values.dtype for name, values in CONTENT.items()
+    }
+    np.testing.assert_equal(arrays, CONTENT)
     assert names(folder / "kind") == ["key.npz"]
 
 
 def damaged(content: bytes) -> Iterator[bytes]:
-    """Truncated contents, and contents with a bit flipped in every third byte."""
-    for length in range(0, len(content), 37):
-        yield content[:length]
+    """Truncated contents, contents with a bit flipped in every third byte, and others."""
+    yield from (content[:length] for length in range(0, len(content), 37))
     for place in range(0, len(content), 3):
         flipped = bytes([content[place] ^ (1 << place % 8)])
         yield content[:place] + flipped + content[place + 1 :]
+    yield from (b"[" * 100_000, b'{"number": 1}', b"\xff\xfe\x80")
 
 
 @pytest.mark.parametrize(
@@ -112,7 +107,7 @@ def test_damaged_entry_is_no_entry(
 ) -> None:
     store()
     content = (folder / "kind" / name).read_bytes()
-    for wrong in (*damaged(content), b"[" * 100_000, b'{"number": 1}', b"\xff\xfe\x80"):
+    for wrong in damaged(content):
         (folder / "kind" / name).write_bytes(wrong)
         with pytest.warns(UserWarning, match="damaged"):
             assert load() is None
@@ -134,25 +129,26 @@ def test_texture_with_a_changed_byte_is_written_again(folder):
     assert make.call_count == 1, "without its digest a file is not believed"
 
 
-@pytest.mark.parametrize("place", ["another key", "another kind", "a link", "a linked folder"])
+@pytest.mark.parametrize(
+    "place", ["kind/other.json", "another/key.json", "a link", "a linked folder"]
+)
 def test_only_an_entry_of_its_own_label_is_read(folder, place, tmp_path):
     """A file of another key would be another result in silence; a link may lead to any file."""
     theirs = tmp_path / "theirs"
     theirs.mkdir()
-    cached(3.0)
+    for number, key, kind in (
+        (3.0, "key", "kind"),
+        (1.0, "other", "kind"),
+        (2.0, "key", "another"),
+    ):
+        cached(number, key, kind)
     path = folder / "kind/key.json"
-    if place == "another key":
-        cached(1.0, "other")
-        path.write_bytes((folder / "kind/other.json").read_bytes())
-    elif place == "another kind":
-        cached(2.0, kind="another")
-        path.write_bytes((folder / "another/key.json").read_bytes())
-    elif place == "a link":
-        path.rename(theirs / "key.json")
-        path.symlink_to(theirs / "key.json")
+    if "link" in place:
+        moved = path if place == "a link" else path.parent
+        moved.rename(theirs / moved.name)
+        moved.symlink_to(theirs / moved.name)
     else:
-        path.parent.rename(theirs / "kind")
-        path.parent.symlink_to(theirs / "kind")
+        path.write_bytes((folder / place).read_bytes())
     before = {path: path.read_bytes() for path in theirs.rglob("*.json")}
     with warnings.catch_warnings(action="ignore"):
         assert cached(4.0) == ({"number": 4.0}, 1)
@@ -233,7 +229,7 @@ def test_limit_zero_disables_cache(folder, monkeypatch):
     cache.store_arrays("kind", "key", CONTENT)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     assert cache.arrays("kind", "key") is None
-    assert [cached(number) for number in (1.5, 2.5)] == [({"number": 1.5}, 1), ({"number": 2.5}, 1)]
+    assert cached(1.5) == ({"number": 1.5}, 1)
     assert names(folder / "kind") == ["key.npz"]
 
 
@@ -245,9 +241,8 @@ def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, tmp_path):
     def assert_not_used() -> None:
         with pytest.warns(UserWarning, match="not a folder that only you can write"):
             other = private_folder("kernels")
-        status = other.stat()
-        assert (other != kernels, status.st_mode & 0o777) == (True, 0o700)
-        assert status.st_uid == os.geteuid()
+        assert other != kernels
+        assert (other.stat().st_mode & 0o777, other.stat().st_uid) == (0o700, os.geteuid())
 
     kernels.chmod(0o770)
     assert_not_used()
@@ -264,27 +259,20 @@ def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, tmp_path):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_trim_removes_least_recently_used(small):
+def test_the_least_recently_used_are_removed_beyond_the_limit(folder, monkeypatch):
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(8 / 1024))  # 8 MiB
     for number in range(12):
-        cache.store_arrays("kind", f"{number:02d}", big(1))
-        os.utime(small / f"kind/{number:02d}.npz", (number, number))
+        store_zeros(f"{number:02d}")
+        os.utime(folder / f"kind/{number:02d}.npz", (number, number))
         assert number == 0 or cache.arrays("kind", "00") is not None, "just used, but removed"
+        assert size_bytes() <= 9.5 * 2**20, "it stays near its limit"
     cache.trim()
-    assert size_bytes() <= 8 * 2**20
     # 7 of a little more than 1 MiB fit into 8 MiB
-    assert names(small / "kind") == [
-        f"{name}.npz" for name in ("00", "06", "07", "08", "09", "10", "11")
-    ]
-
-
-def test_the_cache_stays_near_its_limit(small):
-    for number in range(40):
-        cache.store_arrays("kind", f"{number}", big(1))
-        assert size_bytes() <= 9.5 * 2**20
+    assert names(folder / "kind") == [f"{n:02d}.npz" for n in (0, 6, 7, 8, 9, 10, 11)]
     cache.clear()
-    cache.store_arrays("kind", "small", big(1.9))
-    cache.store_arrays("kind", "large", big(2.1))  # it would displace all others
-    assert names(small / "kind") == ["small.npz"]
+    store_zeros("small", 1.9)
+    store_zeros("large", 2.1)  # it would displace all others
+    assert names(folder / "kind") == ["small.npz"]
 
 
 def test_trim_removes_partial_files_of_ended_processes(folder):
@@ -313,32 +301,24 @@ def test_clear_removes_one_kind_or_all_but_kernels(folder):
     assert names(folder / "kernels") == ["notes.txt"]
 
 
-def add_foreign(kind: Path) -> dict[str, bytes]:
-    """Files of a user beside entries, also with their endings; one of them is a copy of an
-    entry.
-    """
-    np.savez(kind / "measured.npz", a=np.ones(3))
-    contents = {
-        "notes.txt": b"mine",
-        "data.json": b'{"a": 1}',
-        "chart.exr": b"\x76\x2f\x31\x01mine",
-    }
-    contents["measured.npz"] = (kind / "measured.npz").read_bytes()
-    contents["copy.json"] = (kind / "key.json").read_bytes()
-    for name, content in contents.items():
-        (kind / name).write_bytes(content)
-        os.utime(kind / name, (1, 1))  # the first ones that would be removed
-    return contents
-
-
 @pytest.mark.parametrize("how", ["clear", "clear kind", "trim"])
 def test_only_entries_are_removed(folder, how, monkeypatch, tmp_path):
     """Not what lies beside them, what a link leads to, or what a linked folder holds."""
     cached(1.0)
     cached(1.0, kind="other")
-    contents = add_foreign(folder / "kind") | {"key.json": (folder / "kind/key.json").read_bytes()}
-    for name in ("notes.txt", "copy.json"):
-        (folder / "other" / name).write_bytes(contents[name])
+    entry = (folder / "kind/key.json").read_bytes()
+    # Files of a user beside entries, also with their endings; one is a copy of an entry.
+    contents = {
+        "notes.txt": b"mine",
+        "data.json": b'{"a": 1}',
+        "chart.exr": b"\x76\x2f\x31\x01mine",
+        "measured.npz": b"PK\x03\x04mine",
+        "copy.json": entry,
+    }
+    for kind in ("kind", "other"):
+        for name, content in contents.items():
+            (folder / kind / name).write_bytes(content)
+            os.utime(folder / kind / name, (1, 1))  # the first ones that would be removed
     mine = tmp_path / "mine"
     (folder / "kind").rename(mine)  # with an entry, and under the name of its kind
     (folder / "kind").symlink_to(mine)
@@ -348,8 +328,10 @@ def test_only_entries_are_removed(folder, how, monkeypatch, tmp_path):
         cache.trim()
     else:
         cache.clear("kind" if how == "clear kind" else None)
-    assert {name: (mine / name).read_bytes() for name in contents} == contents
-    remaining = ["copy.json", "linked.json", "notes.txt"]
+    assert {path.name: path.read_bytes() for path in mine.iterdir()} == {
+        "key.json": entry
+    } | contents
+    remaining = [*contents, "linked.json"]
     assert names(folder / "other") == sorted(remaining + ["key.json"] * (how == "clear kind"))
 
 
@@ -359,14 +341,15 @@ def test_files_of_other_users_are_passed_over(folder, monkeypatch):
         cached(kind=kind)
     listed, unlink = Path.iterdir, Path.unlink
 
-    def refuse(path: Path) -> None:
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-
     def list_folder(path: Path) -> Iterator[Path]:
-        return refuse(path) if path.name == "closed" else listed(path)
+        if path.name == "closed":
+            raise REFUSED
+        return listed(path)
 
     def remove(path: Path, **options: bool) -> None:
-        refuse(path) if path.parent.name == "theirs" else unlink(path, **options)
+        if path.parent.name == "theirs":
+            raise REFUSED
+        unlink(path, **options)
 
     monkeypatch.setattr(Path, "iterdir", list_folder)
     monkeypatch.setattr(Path, "unlink", remove)
@@ -374,11 +357,6 @@ def test_files_of_other_users_are_passed_over(folder, monkeypatch):
     assert cache.clear() > 0
     assert [entry.kind for entry in cache.entries()] == ["theirs"]
     assert (folder / "closed/key.json").exists()
-
-
-def test_what_lies_in_a_closed_folder_is_no_entry(folder, monkeypatch):
-    cached()
-    assert cache.is_entry(folder / "kind/key.json")
-    refused = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    monkeypatch.setattr(Path, "open", Mock(side_effect=refused))
-    assert not cache.is_entry(folder / "kind/key.json")
+    assert cache.is_entry(folder / "theirs/key.json")
+    monkeypatch.setattr(Path, "open", Mock(side_effect=REFUSED))
+    assert not cache.is_entry(folder / "theirs/key.json")

@@ -1,5 +1,5 @@
-"""Settings files for runs and studies, sensors from data sheets, and messages of invalid
-settings.
+"""Records and settings: validation, content hash and the geometry of the camera; files of runs and
+studies, and sensors from data sheets.
 """
 
 from __future__ import annotations
@@ -9,12 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.base.hashes import content_hash
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.cli.options import SceneOptions
+from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.optics.lens_options import TracedLens
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
@@ -25,6 +29,8 @@ from pixsim.studies.design import pixel_of, study_pitches_um
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study, with_data_sheets
 from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 
 SHEET = """
@@ -81,32 +87,11 @@ def test_study_layers_technology_replaces_that_of_study(tmp_path: Path) -> None:
     assert study.pixel.data_sheet_pitch_um is None
 
 
-def test_study_incomplete_data_sheet_raises() -> None:
-    table = {
-        "name": "a",
-        "technologies": ["none"],
-        "pixel": {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1},
-    }
-    with pytest.raises(ValueError, match=r"missing: data_sheet_pitch_um, quantum_efficiency"):
-        Study.model_validate(table)
-    table["pixel"] |= {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
-    np.testing.assert_allclose(
-        study_pitches_um(Study.model_validate(table), "none")[[0, -1]], [0.75, 12.0]
-    )
-    with pytest.raises(ValueError, match=r"'none' is the data sheet of \[pixel\]; give it alone"):
-        Study.model_validate(table | {"technologies": ["none", "0.35um"]})
-
-
 def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:
     path = written(tmp_path / "sensor.toml", SHEET)
-    study = load_study("pixel-size", [path], {"luminance_cd_per_m2": 3.0, "resolution": 64})
+    study = load_study("pixel-size", str(path), {"luminance_cd_per_m2": 3.0, "resolution": 64})
     assert study.scene.parameters == {"luminance_cd_per_m2": 3.0, "resolution": 64}
     assert study.technologies == ("none",)
-    assert load_study("pixel-size", str(path)) == load_study("pixel-size", [path]), (
-        "one file needs no list"
-    )
-    with pytest.raises(pixsim.PixsimError, match=r"config: got with a Study"):
-        pixsim.study(study, tmp_path / "out", config=[path])
 
 
 # --- How far its numbers may be wrong
@@ -133,10 +118,8 @@ def test_sheet_uncertainty_leaves_pixel_plain(tmp_path: Path) -> None:
     assert study_of(UNCERTAIN, tmp_path) == study_of(SHEET, tmp_path)
     for path in (plain, uncertain):
         written(path, path.read_text(encoding="utf-8").partition("[camera]")[0])
-    both = checked(
-        Study,
-        with_data_sheets([Layer({"name": "a", "technologies": [str(plain), str(uncertain)]})], {}),
-    )
+    table = {"name": "a", "technologies": [str(plain), str(uncertain)]}
+    both = checked(Study, with_data_sheets([Layer(table)], {}))
     assert both.sensors[str(plain)] == both.sensors[str(uncertain)]
     assert sheet_uncertainty(plain) == {}
     spreads = sheet_uncertainty(uncertain)
@@ -240,23 +223,6 @@ def sheet(tmp_path: Path) -> Path:
     return written(tmp_path / "data sheet/my_sensor.toml", CURVED)
 
 
-def test_data_sheet_sets_all_values(sheet: Path) -> None:
-    """`test_run_same_sensor_in_every_way_gives_same_frame` has the way from a file to a frame."""
-    readout = Readout.of(derive(settings_of(sheet).pixel))
-    assert readout.physics.pixel.technology == "none"
-    assert (readout.full_well_e, readout.physics.fill_factor, readout.physics.pixel.pitch_um) == (
-        12000.0,
-        1.0,
-        4.0,
-    )
-    assert (
-        readout.physics.reset_noise_e,
-        readout.physics.offset_fpn_e,
-        readout.physics.column_fpn_e,
-    ) == (0.0, 0.0, 0.0)
-    assert (readout.read_noise_e, readout.dark_current_e_per_s) == (2.5, 8.0)
-
-
 @pytest.mark.parametrize(
     "missing",
     ["pitch_um", "full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"],
@@ -264,29 +230,17 @@ def test_data_sheet_sets_all_values(sheet: Path) -> None:
 def test_incomplete_data_sheet_states_the_technology_that_is_assumed(
     missing: str, sheet: Path
 ) -> None:
-    text = "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)).replace(
-        "pitch_um = 4.0", "pitch_um = 6.0"
-    )
-    written(sheet, text)
+    """In a run, and in a study, which has the pitches."""
+    lines = [line for line in CURVED.splitlines() if not line.startswith(missing)]
+    written(sheet, "\n".join(lines).replace("pitch_um = 4.0", "pitch_um = 6.0"))
     words = f"technology 0.35um assumed, without {missing}"
     pixel = settings_of(sheet).pixel
     assert words in repr(pixel)
     assert (pixel.assumption, pixel.technology) == (words, "0.35um")
-
-
-@pytest.mark.parametrize(
-    "missing", ["full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency"]
-)
-def test_study_layers_incomplete_data_sheet_states_technology(missing: str, sheet: Path) -> None:
-    written(sheet, "\n".join(row for row in CURVED.splitlines() if not row.startswith(missing)))
-    with pytest.warns(
-        UserWarning, match=rf"no technology and not {missing}, .* the study's technology 4t-bsi"
-    ):
-        study = load_study("pixel-size", sheet)
-    assert (study.technologies, study.pixel.data_sheet_pitch_um) == (
-        ("4t-bsi",),
-        None if missing == "all" else 4.0,
-    )
+    if missing != "pitch_um":
+        with pytest.warns(UserWarning, match=f"not {missing}, .* the study's technology 4t-bsi"):
+            study = load_study("pixel-size", sheet)
+        assert (study.technologies, study.pixel.data_sheet_pitch_um) == (("4t-bsi",), 6.0)
 
 
 def test_resolve_file_prefers_folder_of_config(
@@ -304,18 +258,15 @@ def test_resolve_file_prefers_folder_of_config(
 # -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("stated", "kept"),
-    [("lux", {"lux": 500.0}), ("luminance_cd_per_m2", {"luminance_cd_per_m2": 500.0})],
-)
-def test_illuminance_of_the_user_replaces_the_luminance_of_a_study(tmp_path, stated, kept):
+@pytest.mark.parametrize("name", ["lux", "luminance_cd_per_m2"])
+def test_illuminance_of_the_user_replaces_the_luminance_of_a_study(
+    name: str, tmp_path: Path
+) -> None:
     """By a file's [scene] and by an option; `pixel-size` states a luminance."""
-    path = written(tmp_path / "light.toml", f"[scene]\n{stated} = 500.0\n")
-    for study in (
-        load_study("pixel-size", path),
-        load_study("pixel-size", parameters={stated: 500.0}),
-    ):
-        assert study.scene.parameters == kept
+    path = written(tmp_path / "light.toml", f"[scene]\n{name} = 500.0\n")
+    assert load_study("pixel-size", path).scene.parameters == {name: 500.0}
+    option = {name: 500.0}
+    assert load_study("pixel-size", parameters=option).scene.parameters == option
 
 
 def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
@@ -324,11 +275,10 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     study = load_study("modern", paths, quick=True)
     assert (study.technologies, study.pitch.count) == (("none",), 10)
     study_path = written(tmp_path / "own.toml", 'name = "own"\n')
-    quick = (
-        "repeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number ="
-        " 8 }\n"
+    written(
+        tmp_path / "own.quick.toml",
+        "repeats = 2\nscene.parameters = { resolution = 32, spp = 4 }\ncamera.f_number = 8\n",
     )
-    written(tmp_path / "own.quick.toml", quick)
     study = load_study(study_path, paths, parameters={"resolution": 96}, quick=True)
     assert study.scene.parameters == {"resolution": 96, "spp": 4}
     assert (study.camera.f_number, study.repeats) == (2.8, 2)
@@ -398,17 +348,11 @@ def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
     study = study_of(text, tmp_path)
     assert study.pixel.data_sheet_pitch_um == 6.5
-    area_um2 = (
-        fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * np.array([6.5, 13.0]) ** 2
-    )
+    areas_um2 = fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * [6.5**2, 13.0**2]
     well_e = pixsim.derive(pixel_of(study, "0.35um", 13.0)).full_well_e
-    assert well_e == pytest.approx(40000 * area_um2[1] / area_um2[0], rel=1e-12)
-    assert (
-        study_of(
-            text.replace("full_well_e = 40000", "bits = 12"), tmp_path
-        ).pixel.data_sheet_pitch_um
-        is None
-    )
+    assert well_e == pytest.approx(40000 * areas_um2[1] / areas_um2[0], rel=1e-12)
+    without_well = study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path)
+    assert without_well.pixel.data_sheet_pitch_um is None
 
 
 @pytest.mark.parametrize(
@@ -506,5 +450,91 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         )
     table = {"name": "a", "pixel": {"data_sheet_pitch_um": 4.0}, "camera": {"pixels": [500, 400]}}
     assert Study.model_validate(table).camera.die_height_mm == 1.6
-    with pytest.raises(ValueError, match="needs the pitch of the sensor"):
-        Study.model_validate(table | {"pixel": {}})
+
+
+# --- Records
+# ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("record", [Camera, CameraOptions, Display, Exposure, Pixel, Run])
+def test_record_is_frozen(record):
+    with pytest.raises(ValidationError, match="frozen"):
+        setattr(record(), next(iter(record.model_fields)), 1.0)
+
+
+def test_content_hash_ignores_the_order_of_keys_alone():
+    one = Pixel.model_validate({"pitch_um": 5.3, "bits": 12})
+    other = Pixel.model_validate({"bits": 12, "pitch_um": 5.3, "technology": "0.35um"})
+    assert one.content_hash == other.content_hash
+    # BLAKE2b of the text {"a":1}, 8 bytes: `printf '{"a":1}' | b2sum -l 64`.
+    assert content_hash({"a": 1}) == "1f8c00645b7df6ce"
+    # Digits below single precision, the order of a list and the kind of a value count.
+    contents = [[1.0, 2.0], [2.0, 1.0], 1.0, 1.0 + 1e-15, "1", 1]
+    assert len(set(map(content_hash, contents))) == len(contents)
+
+
+def test_content_hash_depends_on_every_field():
+    values = Camera(die_height_mm=2.0, veiling_glare=0.1, veiling_glare_outside=0.1).model_dump()
+    numbers = [{name: 0.99 * n} for name, n in values.items() if isinstance(n, float)]
+    lens = TracedLens(file="phone", focal_length_mm=3.86, f_number=4, field_mm=1.9, content="0")
+    others = [
+        {"chief_ray_angle": [[0, 0], [2, 20]]},
+        {"fall_off": [[0, 1], [2, 0.5]]},
+        {"lens": lens},
+    ]
+    hashes = {Camera(**change).content_hash for change in ({}, *numbers, *others)}
+    assert len(hashes) == 1 + len(Camera.model_fields)
+
+
+def test_merge_later_values_take_precedence():
+    base = {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
+    over = {"camera": {"f_number": 2.0}, "pixel": {"bits": 12}}
+    assert merge(base, over) == {
+        "camera": {"f_number": 2.0, "die_mm": 2.7},
+        "seed": 1,
+        "pixel": {"bits": 12},
+    }
+    # Neither side is changed; a value replaces a table and a table a value.
+    assert base == {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
+    assert merge({"a": {"b": 1}}, {"a": 2}) == {"a": 2}
+    assert merge({"a": 2}, {"a": {"b": 1}}) == {"a": {"b": 1}}
+
+
+def test_camera_options_over_replaces_given_fields():
+    camera = CameraOptions(f_number=2.0).over(Camera(focal_length_mm=5.0))
+    assert (camera.focal_length_mm, camera.f_number, camera.die_mm) == (5.0, 2.0, Camera().die_mm)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(),
+        Camera(focal_length_mm=50, f_number=1.4, die_mm=36, object_distance_m=0.45),
+        Camera(focal_length_mm=4.5, object_distance_m=1e4),
+        Camera(focal_length_mm=10, object_distance_m=0.0101),
+    ],
+)
+def test_camera_obeys_thin_lens_equation(camera):
+    u_mm, v_mm, f_mm = (
+        1e3 * camera.object_distance_m,
+        camera.image_distance_mm,
+        camera.focal_length_mm,
+    )
+    assert 1 / u_mm + 1 / v_mm == pytest.approx(1 / f_mm, rel=1e-12)
+    assert camera.magnification == pytest.approx(v_mm / u_mm, rel=1e-12)
+    assert camera.working_f_number == pytest.approx(
+        v_mm / (2e3 * camera.aperture_radius_m), rel=1e-12
+    )
+    assert np.tan(np.radians(camera.fov_deg / 2)) == pytest.approx(
+        camera.die_mm / 2 / v_mm, rel=1e-12
+    )
+    back = Camera.from_lens_geometry(
+        camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m, camera.die_mm
+    )
+    assert back.model_dump(exclude_none=True) == pytest.approx(
+        camera.model_dump(exclude_none=True), rel=1e-9
+    )
+    # The chart that fills the die is the die over the magnification.
+    assert 2e3 * camera.chart_half_width_m * camera.magnification == pytest.approx(
+        camera.die_mm, rel=1e-12
+    )

@@ -1,14 +1,21 @@
-"""Output folders: a command replaces and removes only what pixsim wrote."""
+"""Output: a command replaces and removes only what pixsim wrote; devices and pipes get the content
+and stay; nothing goes through a link of others; files of results state their schema.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+import stat
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from helpers.commands import assert_refused, command
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import (
@@ -17,14 +24,27 @@ from pixsim.base.files import (
     UNCHANGED_NS,
     check_replaceable,
     digest_of,
+    output_folder,
     publishing,
     read_file_list,
+    write_json,
+    write_new,
 )
+from pixsim.base.locks import LOCK
+from pixsim.base.schema import KEY, SCHEMA, json_text
+from pixsim.base.tables import write_text
+from pixsim.base.toml import SETTINGS_HEAD, read_toml, settings_table_text
+from pixsim.light.exr import write_exr
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.exchange import write_npz
+from pixsim.scene.charts import write_chart
+from pixsim.sensor.raw import RawFrame, write_frame
+from pixsim.studies.table import CHECK, COLUMNS, Store, check_replaceable_results
 
 
 def publish(folder: Path, **texts: str) -> None:
     """Publish files `name`.txt; an underscore in a name is a folder."""
-    with publishing(folder) as unfinished:
+    with output_folder(folder) as place, publishing(place) as unfinished:
         for name, text in texts.items():
             path = unfinished / f"{name.replace('_', '/')}.txt"
             path.parent.mkdir(exist_ok=True)
@@ -36,16 +56,14 @@ def contents(folder: Path) -> dict[str, str]:
     return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
 
+def state(folder: Path) -> dict[str, bytes | bool]:
+    return {path.name: path.is_file() and path.read_bytes() for path in folder.iterdir()}
+
+
 def test_publishing_again_replaces_files_of_pixsim_and_leaves_all_others(tmp_path: Path) -> None:
     """Also those that a user has changed; files of an earlier command stay, and are known."""
     (tmp_path / "mine.txt").write_text("mine")
     publish(tmp_path, a="1", figures_b="2", figures_c="3")
-    assert contents(tmp_path) == {
-        "mine.txt": "mine",
-        "a.txt": "1",
-        "figures/b.txt": "2",
-        "figures/c.txt": "3",
-    }
     (tmp_path / "a.txt").write_text("9")
     publish(tmp_path, a="4", figures_b="2")
     assert contents(tmp_path) == {
@@ -68,25 +86,20 @@ def test_check_replaceable_file_of_another_program_raises(change: str, tmp_path:
     path = tmp_path / "a.txt"
     if change == "not listed":
         (tmp_path / "c.txt").write_text("9")
-    elif change in ("folder", "dangling link"):
-        path.unlink()
-        path.mkdir() if change == "folder" else path.symlink_to(tmp_path / "gone")
     elif change == "foreign list":
         (tmp_path / FILE_LIST).write_text('{"files": ["a.txt"]}')
-    else:
+    elif change == "no list":
         (tmp_path / FILE_LIST).unlink()
-    before = sorted(
-        (path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir()
-    )
+    else:
+        path.unlink()
+        path.mkdir() if change == "folder" else path.symlink_to(tmp_path / "gone")
+    before = state(tmp_path)
     named = {"foreign list": FILE_LIST, "not listed": "c.txt"}.get(change, "a.txt")
     with pytest.raises(PixsimError, match=rf"holds .*{named}.*Choose another with --out"):
         check_replaceable(tmp_path, ["a.txt", "c.txt"])
     with pytest.raises(PixsimError, match=named):
         publish(tmp_path, a="new", c="new")
-    assert (
-        sorted((path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir())
-        == before
-    )
+    assert state(tmp_path) == before
 
 
 def test_files_of_a_folder_of_release_1_1_are_replaced(tmp_path: Path) -> None:
@@ -129,14 +142,6 @@ def test_publishing_killed_between_moves_is_resumed(
     assert contents(tmp_path) == {"a.txt": "5", "b.txt": "6", "c.txt": "7"}
 
 
-def test_publishing_failure_leaves_folder_unchanged(tmp_path: Path) -> None:
-    publish(tmp_path, a="1")
-    before = {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
-    with pytest.raises(KeyboardInterrupt), publishing(tmp_path) as unfinished:
-        raise KeyboardInterrupt(unfinished.joinpath("a.txt").write_text("2"))
-    assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == before
-
-
 @pytest.mark.parametrize("age", ["new", "settled"])
 def test_digest_of_sees_each_change(
     age: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -153,3 +158,256 @@ def test_digest_of_sees_each_change(
         digests += [digest_of(path), digest_of(path)]
     assert digests[0] == digests[1] == digests[4] == digests[5] != digests[2] == digests[3]
     assert digests[0] == hashlib.blake2b(b"one", digest_size=16).hexdigest()
+
+
+# --- Onto what is no regular file
+# ---------------------------------------------------------------------------------------------------
+
+LIGHT = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
+FRAME = RawFrame(np.array([[64, 1023]]), black_level_dn=64.0, bits=10)
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "chart.exr": lambda path: write_chart(path, np.ones((2, 3), np.float32)),
+    "light.exr": lambda path: write_exr(path, LIGHT),
+    "light.npz": lambda path: write_npz(path, LIGHT),
+    **{
+        f"raw{suffix}": lambda path: write_frame(path, FRAME)
+        for suffix in (".exr", ".npz", ".png", ".tiff")
+    },
+    "table.csv": lambda path: write_text(path, "a\r\n1\r\n"),
+    "new.toml": lambda path: write_new(path, "a = 1\n"),
+}
+OF_ALL = pytest.mark.parametrize("name", WRITERS)
+NEEDS_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root makes devices")
+
+
+def expected(name: str, folder: Path) -> bytes:
+    """The content of the file that a writer makes."""
+    folder.mkdir()
+    WRITERS[name](folder / name)
+    return without_time((folder / name).read_bytes())
+
+
+def without_time(content: bytes) -> bytes:
+    """A zip archive states when it was written, in steps of 2 s."""
+    return (
+        content if content[:2] != b"PK" else content[:10] + content[14 : content.index(b"PK\1\2")]
+    )
+
+
+@OF_ALL
+def test_a_named_pipe_gets_the_content_and_stays(name: str, tmp_path: Path) -> None:
+    pipe, got = tmp_path / name, []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
+    reader.start()
+    WRITERS[name](pipe)
+    reader.join(60)
+    assert without_time(got[0]) == expected(name, tmp_path / "file")
+    assert (stat.S_ISFIFO(pipe.lstat().st_mode), os.listdir(tmp_path / "file")) == (True, [name])
+
+
+@NEEDS_ROOT
+@OF_ALL
+def test_a_device_stays(name: str, tmp_path: Path) -> None:
+    """Also one that a link leads to; a node of our own, which leads nowhere."""
+    device, link = tmp_path / name, tmp_path / "links" / name
+    os.mknod(device, 0o666 | stat.S_IFCHR, os.makedev(1, 3))
+    link.parent.mkdir()
+    link.symlink_to(device)
+    for path in (device, link):
+        WRITERS[name](path)
+    assert (stat.S_ISCHR(device.lstat().st_mode), device.lstat().st_rdev) == (
+        True,
+        os.makedev(1, 3),
+    )
+    assert (link.is_symlink(), sorted(os.listdir(tmp_path))) == (True, sorted([name, "links"]))
+
+
+@NEEDS_ROOT
+def test_a_disk_is_refused(tmp_path: Path) -> None:
+    os.mknod(tmp_path / "x.exr", 0o600 | stat.S_IFBLK, os.makedev(240, 250))  # of no driver
+    with pytest.raises(PixsimError, match=r"x\.exr', a device; allowed: a file, a pipe"):
+        WRITERS["light.exr"](tmp_path / "x.exr")
+    assert stat.S_ISBLK((tmp_path / "x.exr").lstat().st_mode)
+
+
+@OF_ALL
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_link_of_the_user_is_followed_once(name: str, is_there: bool, tmp_path: Path) -> None:
+    content = expected(name, tmp_path / "file")
+    elsewhere, link = tmp_path / "elsewhere" / name, tmp_path / name
+    elsewhere.parent.mkdir()
+    link.symlink_to(elsewhere)
+    if is_there and name != "new.toml":  # which is never replaced
+        elsewhere.write_bytes(b"before")
+    WRITERS[name](link)
+    assert (link.is_symlink(), without_time(elsewhere.read_bytes())) == (True, content)
+    assert os.listdir(elsewhere.parent) == [name]
+
+
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        *((name, "a link to a link") for name in WRITERS),
+        *(("table.csv", way) for way in ("/dev/fd/{}", "/proc/self/fd/{}", "a relative link")),
+    ],
+)
+def test_a_stream_of_this_process_gets_the_content_where_it_stands(
+    name: str, way: str, tmp_path: Path
+) -> None:
+    """/dev/stdout of `command > file` is such a one: the file is the shell's, and may hold
+    something already.
+    """
+    content = expected(name, tmp_path / "file")
+    second, first = tmp_path / "links" / name, tmp_path / name
+    second.parent.mkdir()
+    second.symlink_to(first if way == "a link to a link" else Path("..", name))
+    with (tmp_path / "shell").open("wb", buffering=0) as file:
+        file.write(b"before")
+        first.symlink_to(f"/dev/fd/{file.fileno()}")
+        WRITERS[name](Path(way.format(file.fileno())) if "{}" in way else second)
+        file.write(b"after")
+    whole = (tmp_path / "shell").read_bytes()
+    assert (whole[:6], whole[-5:], first.is_symlink()) == (b"before", b"after", True)
+    assert without_time(whole[6:-5]) == content
+
+
+def test_a_command_says_what_a_reader_that_is_gone_has_not_taken(tmp_path: Path) -> None:
+    pipe = tmp_path / "x.exr"
+    os.mkfifo(pipe)
+    threading.Thread(target=lambda: pipe.open("rb").close()).start()
+    assert_refused(
+        *command("chart flat --width 512 --height 512 -o", pipe), ["x.exr", "Broken pipe"]
+    )
+    assert stat.S_ISFIFO(pipe.lstat().st_mode)
+
+
+# --- Below an output folder
+# ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def theirs(tmp_path: Path) -> Path:
+    """A folder of the user that no output belongs to."""
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    (folder / "a.txt").write_text("mine")
+    return folder
+
+
+@pytest.mark.parametrize("linked", ["figures", "figures/a.txt", FILE_LIST, LOCK])
+def test_publishing_never_goes_through_a_link_in_the_folder(
+    linked: str, theirs: Path, tmp_path: Path
+) -> None:
+    link = tmp_path / "out" / linked
+    link.parent.mkdir(parents=True)
+    link.symlink_to(theirs if linked == "figures" else theirs / "a.txt")
+    with pytest.raises(PixsimError, match=r"output folder"):
+        publish(tmp_path / "out", figures_a="new")
+    assert (contents(theirs), link.is_symlink()) == ({"a.txt": "mine"}, True)
+    if linked != LOCK:
+        with pytest.raises(
+            PixsimError, match=f"which holds .*{linked}.*, not written by this command"
+        ):
+            check_replaceable(tmp_path / "out", ["figures/a.txt"])  # before anything is computed
+
+
+def test_publishing_into_a_linked_folder_works(theirs: Path, tmp_path: Path) -> None:
+    """Folders of results are often links to a scratch disk."""
+    (tmp_path / "out").symlink_to(theirs)
+    for text in ("first", "new"):
+        publish(tmp_path / "out", figures_a=text)
+    assert (tmp_path / "out").is_symlink()
+    assert contents(theirs) == {"a.txt": "mine", "figures/a.txt": "new"}
+
+
+@pytest.mark.parametrize("kind", ["pipe", "content"])
+def test_a_lock_that_is_not_pixsims_is_neither_waited_for_nor_removed(
+    kind: str, tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / LOCK) if kind == "pipe" else (tmp_path / LOCK).write_text("mine")
+    with (
+        pytest.raises(PixsimError, match=r"'\.pixsim\.lock' is not a lock of pixsim"),
+        output_folder(tmp_path),
+    ):
+        pass
+    assert (tmp_path / LOCK).exists()
+
+
+def row(key: str) -> list[str]:
+    return [key, *["1"] * (len(Store(Path()).columns) - 1)]
+
+
+def test_each_change_of_a_study_keeps_its_own_backup(theirs: Path, tmp_path: Path) -> None:
+    """Nor does a backup go through a link: an edited file of rows would become the content of any
+    other file.
+    """
+    (tmp_path / "results.csv.old").symlink_to(theirs / "a.txt")
+    results, befores = Store(tmp_path / "results.csv"), []
+    for key in ("first", "second", "first"):
+        results.write([row(key)])
+        befores.append(results.path.read_text())
+        results.resume(lambda row: False)
+    assert contents(theirs) == {"a.txt": "mine"}
+    backups = [tmp_path / f"results.csv.old{number}" for number in (2, 3)]
+    assert [path.read_text() for path in backups] == befores[:2]
+    assert not (tmp_path / "results.csv.old4").exists(), "the same content is there already"
+
+
+def test_rows_are_not_appended_through_a_link(theirs: Path, tmp_path: Path) -> None:
+    (tmp_path / "results.csv").symlink_to(theirs / "a.txt")
+    results = Store(tmp_path / "results.csv")
+    with pytest.raises(PixsimError, match=r"results.csv', a link; allowed: the rows of a study"):
+        check_replaceable_results(results.path)
+    for write in (results.add, results.write):
+        with pytest.raises(PixsimError, match=r"results\.csv"):
+            write([row("key")])
+    assert contents(theirs) == {"a.txt": "mine"}
+
+
+# --- The schema of files of results
+# ---------------------------------------------------------------------------------------------------
+
+
+def test_json_files_state_the_schema(tmp_path):
+    write_json(tmp_path / "score.json", {"mean_delta_e": 1.5})
+    assert json.loads((tmp_path / "score.json").read_text()) == {KEY: SCHEMA, "mean_delta_e": 1.5}
+    assert KEY not in json.loads(json_text({"$schema": "https://json-schema.org/draft/2020-12"}))
+
+
+def test_rows_without_a_check_are_kept_apart_and_computed_again(tmp_path):
+    """As those of release 1.1, whose rows ended with the last metric. Keys tell rows of other
+    versions that have a check.
+    """
+    results = Store(tmp_path / "results.csv")
+    results.write(row(f"key{number}") for number in range(3))
+    lines = [line.rsplit(",", 2)[0] for line in results.path.read_text().splitlines()]
+    results.path.write_text("\n".join(lines) + "\n")
+    before = results.path.read_bytes()
+    with pytest.warns(
+        UserWarning, match=r"another version of pixsim.*results.csv.old.*computed again"
+    ):
+        assert results.resume(lambda row: True) == []
+    assert (tmp_path / "results.csv.old").read_bytes() == before
+    assert results.path.read_text().splitlines() == [",".join([*COLUMNS, KEY, CHECK])]
+
+
+def test_settings_of_a_newer_schema_are_refused(tmp_path):
+    path = tmp_path / "settings.toml"
+    text = settings_table_text({"camera": {"f_number": 4.0}}, "pixsim run csf")
+    path.write_text(text)
+    assert read_toml(path) == {"camera": {"f_number": 4.0}}
+    head = f"{SETTINGS_HEAD}, {KEY} "
+    path.write_text(text.replace(f"{head}{SCHEMA}", f"{head}{SCHEMA + 1}"))
+    with pytest.raises(PixsimError, match=f"schema {SCHEMA + 1}; allowed: up to {SCHEMA}"):
+        read_toml(path)
+
+
+@pytest.mark.parametrize("stated", [SCHEMA + 1, 0, True, "one", 1.5, [1]])
+def test_folder_of_a_newer_version_is_refused(tmp_path, stated):
+    publish(tmp_path, a="1")
+    check_replaceable(tmp_path, ["a.txt"])
+    content = json.loads((tmp_path / FILE_LIST).read_text())
+    (tmp_path / FILE_LIST).write_text(json.dumps(content | {KEY: stated}))
+    with pytest.raises(PixsimError, match=r"output folder.*schema.*Use the version of pixsim"):
+        check_replaceable(tmp_path, ["a.txt"])

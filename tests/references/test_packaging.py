@@ -33,11 +33,7 @@ MAX_S = 6 * HANG_S  # packages are downloaded, and half of the tests run
 TEXT_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
 # about half of the quick tests of every package, which need no other tools than pytest
 QUICK_TESTS = {
-    **{
-        "base": "arrays cache config parameters",
-        "light": "spectral",
-        "optics": "diffraction thin_lens",
-    },
+    **{"base": "arrays cache config", "light": "spectral", "optics": "diffraction thin_lens"},
     **{
         "sensor": "integration pixel readout technology",
         "scene": "charts plan scene",
