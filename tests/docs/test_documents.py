@@ -93,7 +93,7 @@ def test_page_blocks_give_shown_output(
     for shown, created in page.pictures:
         assert shown.is_file(), f"{path.name} shows {shown.name}, which does not exist"
         assert alike_pictures(shown, created, exact), (
-            f"{shown} is outdated: run python tests/helpers/documents.py {path}"
+            f"{shown} is outdated: run python tests/benchmarks/pages.py {path}"
         )
 
 

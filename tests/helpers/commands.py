@@ -18,7 +18,6 @@ from typing import Any
 
 import pydantic
 import pytest
-from cyclopts import Group
 from cyclopts.argument import _collection
 from helpers import forks
 from helpers.processes import HANG_S
@@ -29,43 +28,32 @@ from pixsim.cli.options import verbosity
 COMMAND = Path(sys.executable).with_name("pixsim")
 
 
+def remembering(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that keeps its results, where its arguments can be keys."""
+    cached = functools.cache(function)
+
+    def quick(*arguments: Any, **options: Any) -> Any:
+        try:
+            return cached(*arguments, **options)
+        except TypeError:  # what cannot be a key
+            return function(*arguments, **options)
+
+    return quick
+
+
 # Cyclopts builds its options and the checks of their types again for each command: most of the time
 # of many of them here.
-adapter_of = functools.cache(pydantic.TypeAdapter)
-groups_of = functools.cache(_collection._resolve_groups_from_callable)
-
-
-def quick_groups(function: Callable[..., Any], *parameters: Any, **groups: Any) -> list[Group]:
-    try:
-        return groups_of(function, *parameters, **groups)
-    except TypeError:  # what cannot be a key
-        return groups_of.__wrapped__(function, *parameters, **groups)
-
-
-def quick_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
-    try:
-        return adapter_of(hint)
-    except TypeError:
-        return adapter_of.__wrapped__(hint)
-
-
 Arguments = _collection.ArgumentCollection
-arguments_of = Arguments._from_callable
-ARGUMENTS: dict[Any, Any] = {}
+quick_adapter = remembering(pydantic.TypeAdapter)
+quick_groups = remembering(_collection._resolve_groups_from_callable)
+arguments_of = remembering(Arguments._from_callable)
 
 
 def quick_arguments(
     function: Callable[..., Any], *parameters: Any, reserved: Any = None, **groups: Any
 ) -> Any:
     """The arguments of a command, unread: copies of those that were made for it first."""
-    reserved = tuple(reserved or ())
-    key = function, parameters, reserved, tuple(groups.items())
-    try:
-        made = ARGUMENTS.get(key)
-    except TypeError:  # what cannot be a key
-        return arguments_of(function, *parameters, reserved=reserved, **groups)
-    if made is None:
-        made = ARGUMENTS[key] = arguments_of(function, *parameters, reserved=reserved, **groups)
+    made = arguments_of(function, *parameters, reserved=tuple(reserved or ()), **groups)
     copies = {id(argument): copy.copy(argument) for argument in made}
     for argument in copies.values():
         argument.tokens, argument._lookup = [], argument._lookup.copy()

@@ -8,10 +8,9 @@ Invisible comments before a block state what it is:
     <!-- elsewhere: WHERE -->        the block is run there, word for word
     <!-- picture: FILE -->           the next picture is that file, which the blocks create
 
-`python tests/helpers/documents.py PAGE…` runs pages and updates their output, their pictures, and
-docs/made_on.toml, which records the processor and the packages. There every digit of a page's
-output must come out again; elsewhere a number may differ within the interval that the page prints
-with it, or else by `NUMBER_WITHIN`.
+`python tests/benchmarks/pages.py PAGE…` updates pages and docs/made_on.toml, which records the
+processor and the packages. There every digit of a page's output must come out again; elsewhere a
+number may differ within the interval that the page prints with it, or else by `NUMBER_WITHIN`.
 """
 
 from __future__ import annotations
@@ -21,10 +20,8 @@ import io
 import itertools
 import os
 import re
-import shutil
 import subprocess
 import sys
-import tempfile
 import tomllib
 import warnings
 from collections.abc import Iterator
@@ -41,10 +38,6 @@ from PIL import Image
 
 ROOT = Path(__file__).parents[2]
 MADE_ON = ROOT / "docs/made_on.toml"
-MADE_ON_HEAD = """\
-# The processor and the packages that made the numbers and pictures of README.md and docs/. There, every digit comes out again.
-# Other processors round some functions differently, which changes noise. (Written by tests/helpers/documents.py.)
-"""
 # Of the imaging chain and of the pictures.
 PACKAGES = (
     "mitsuba",
@@ -104,17 +97,6 @@ def this_machine() -> dict[str, object]:
         "python": sys.version.split()[0],
     }
     return {**own, "packages": packages}
-
-
-def write_made_on() -> None:
-    made = this_machine()
-    lines = [f'{name} = "{made[name]}"' for name in OF_MACHINE]
-    lines += [
-        "",
-        "[packages]",
-        *(f'{name} = "{version}"' for name, version in made["packages"].items()),
-    ]
-    MADE_ON.write_text(MADE_ON_HEAD + "\n".join(lines) + "\n", encoding="utf-8")
 
 
 def differs_from_made_on() -> str:
@@ -374,32 +356,6 @@ def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
     )
 
 
-def updated(path: Path, outputs: list[tuple[Block, str]]) -> str:
-    """The text of a page with its output blocks replaced.
-
-    In a block with a line of …, the lines with the same words are replaced; it is named if that is
-    not enough.
-    """
-    lines = path.read_text(encoding="utf-8").splitlines()
-    for block, printed in reversed(outputs):
-        end, new = (
-            block.line + len(block.text.strip("\n").splitlines()),
-            printed.rstrip().splitlines(),
-        )
-        if ANY_LINES in block.text.splitlines():
-            same_words = {
-                words_of(line): line.rstrip() for line in reversed(new)
-            }  # "ISO 15739" and "ISO 12232" have the same
-            new = [
-                line if line in new else same_words.get(words_of(line), line)
-                for line in block.text.splitlines()
-            ]
-            if message := difference("\n".join(new), printed):
-                print(f"{path}, line {block.line}: CHANGE BY HAND: {message}\n{printed}")
-        lines[block.line : end] = new
-    return "\n".join(lines) + "\n"
-
-
 def first_study(readme: Path, folder: Path) -> Path:
     """Write a page with README's first study alone: its command, which other blocks of README do
     not repeat, output and picture.
@@ -420,42 +376,3 @@ def first_study(readme: Path, folder: Path) -> Path:
     page = folder / "first_study.md"
     page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     return page
-
-
-def update_first_study(readme: Path) -> None:
-    """Replace README's first output and its picture."""
-    with tempfile.TemporaryDirectory() as folder:
-        page = Page(first_study(readme, Path(folder)), Path(folder))
-        old = page.path.read_text(encoding="utf-8")
-        page.run()
-        (block, _), text = page.outputs[0], readme.read_text(encoding="utf-8")
-        new = next(
-            other.text
-            for other in blocks_of(updated(page.path, page.outputs))
-            if "output" in other.comments
-        )
-        assert old.count(block.text) == 1
-        assert text.count(block.text) == 1
-        readme.write_text(text.replace(block.text, new), encoding="utf-8")
-        ((_, created),) = page.pictures
-        shown = next(other for other in blocks_of(old) if other.language == "picture")
-        shutil.copyfile(created, readme.parent / shown.text)
-
-
-def main(pages: list[str]) -> None:
-    for name in pages:
-        if Path(name).resolve() == ROOT / "README.md":
-            update_first_study(Path(name))
-        with tempfile.TemporaryDirectory() as folder:
-            page = Page(Path(name), Path(folder))
-            page.run()
-            page.path.write_text(updated(page.path, page.outputs), encoding="utf-8")
-            for picture, created in page.pictures:
-                picture.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(created, picture)
-                print(picture)
-    write_made_on()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

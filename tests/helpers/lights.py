@@ -1,7 +1,7 @@
 """Three stored lights for all tests that are not of scenes: a chart, patches, a natural scene.
 
-`python tests/helpers/lights.py` renders them again: the packaged scenes `csf`, `macbeth` and
-`still_life`, each with its own camera, from seed 62, on films that are reduced.
+`python tests/benchmarks/stored_lights.py` renders them again: the packaged scenes `csf`, `macbeth`
+and `still_life`, each with its own camera, from seed 62, on films that are reduced.
 """
 
 from __future__ import annotations
@@ -12,12 +12,6 @@ from pathlib import Path
 import pixsim
 
 FOLDER = Path(__file__).resolve().parents[1] / "data/lights"
-# Scene, samples across the film that is rendered, and across the one that is stored.
-LIGHTS = {
-    "chart": ("csf", 256, 256),
-    "patches": ("macbeth", 192, 96),
-    "natural": ("still_life", 192, 96),
-}
 
 
 def chart() -> pixsim.SpectralImage:
@@ -43,18 +37,3 @@ def camera(light: pixsim.SpectralImage) -> pixsim.Camera:
 @cache
 def _stored(name: str) -> pixsim.SpectralImage:
     return pixsim.read_exr(FOLDER / f"{name}.exr")
-
-
-def main() -> None:
-    FOLDER.mkdir(exist_ok=True)
-    for name, (scene_name, columns, stored_columns) in LIGHTS.items():
-        parameters = {"luminance_cd_per_m2": 100.0} if scene_name == "csf" else {}
-        scene = pixsim.load_scene(scene_name, **parameters)
-        light = pixsim.render(scene.with_resolution(columns), scene.camera(), seed=62)
-        pixsim.write_exr(
-            FOLDER / f"{name}.exr", light.box_reduced(stored_columns), factors_only=True
-        )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,24 +1,18 @@
-"""Size of the package and its imports, by room: `python tests/helpers/measure.py [FOLDER]`, of
-pixsim if no folder is given.
+"""The modules of the package and their imports.
 
-Nodes are those of the syntax tree, so that the width of lines, blank lines and comments do not
-count. A floor is the place of a module in the longest chain of imports inside its room. Imports
-inside functions count; those for the type checker do not.
+Imports inside functions count; those for the type checker do not.
 """
 
 from __future__ import annotations
 
 import ast
-import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pixsim
 
 PACKAGE = Path(pixsim.__file__).parent
-Arrows = Mapping[str, set[str]]  # module -> modules that it imports
 
 
 def module_name(path: Path, package: Path = PACKAGE) -> str:
@@ -89,46 +83,3 @@ def arrows_of(package: Path = PACKAGE, type_checking: bool = False) -> dict[str,
         }
         graph[module] = {name for name in names if name in files and name != module}
     return graph
-
-
-def floors(arrows: Arrows, room: str) -> dict[str, int]:
-    """Floor of each module of a room, 1 for those that import no other one of it. Raises CycleError
-    for a circle in it.
-    """
-    modules = [module for module in arrows if module.startswith(f"{room}.")]
-    inside = {module: arrows[module].intersection(modules) for module in modules}
-    heights: dict[str, int] = {}
-    for module in TopologicalSorter(inside).static_order():
-        heights[module] = 1 + max((heights[other] for other in inside[module]), default=0)
-    return heights
-
-
-def main(package: Path) -> None:
-    files, arrows = files_of(package), arrows_of(package)
-    rooms: dict[str, list[str]] = {}
-    for module, path in files.items():
-        rooms.setdefault("" if path.parent == package else module.partition(".")[0], []).append(
-            module
-        )
-    print("room".ljust(14), *(name.rjust(8) for name in ("files", "nodes", "floors")))
-    for room, modules in sorted(rooms.items()):
-        nodes = sum(1 for module in modules for _ in ast.walk(tree(files[module])))
-        try:
-            height = str(max(floors(arrows, room).values(), default=1))
-        except CycleError as error:
-            height = f"circle: {' → '.join(error.args[1])}"
-        print(
-            (room or "(top)").ljust(14),
-            str(len(modules)).rjust(8),
-            str(nodes).rjust(8),
-            height.rjust(8),
-        )
-    try:
-        TopologicalSorter(arrows).prepare()
-        print("no circle among all modules")
-    except CycleError as error:
-        print(f"circle: {' → '.join(error.args[1])}")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PACKAGE)

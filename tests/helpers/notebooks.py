@@ -1,11 +1,8 @@
-"""Run the notebooks of docs/: `python tests/helpers/notebooks.py NOTEBOOK…` writes their outputs
-into them.
-"""
+"""Run the notebooks of docs/, into which `python tests/benchmarks/pages.py` writes their outputs."""
 
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -51,27 +48,3 @@ def outputs(notebook: Any) -> list[tuple[int, str, str]]:
             for kind, text in sorted(output.get("data", {}).items())
         ]
     return found
-
-
-def main(paths: list[str]) -> None:
-    import tempfile
-
-    import nbformat
-
-    for path in map(Path, paths):
-        with tempfile.TemporaryDirectory() as folder:
-            notebook = executed(path, Path(folder))
-        for cell in notebook.cells:
-            if (
-                cell.cell_type == "code"
-            ):  # what depends on the machine's speed and on the place of the package stays out
-                cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
-                streams = [output for output in cell.outputs if output.output_type == "stream"]
-                for other in streams[1:]:
-                    streams[0].text += other.text
-                    cell.outputs.remove(other)
-        nbformat.write(notebook, path)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
