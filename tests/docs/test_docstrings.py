@@ -134,16 +134,10 @@ EXCEPTIONS = {
 
 
 @cache
-def tree_of(module: str) -> ast.Module:
-    return ast.parse(inspect.getsource(importlib.import_module(module)))
-
-
-@cache
 def raising(module: str) -> frozenset[str]:
     """Functions of a module that raise PixsimError, or call one of the module that does."""
-    functions = {
-        node.name: node for node in tree_of(module).body if isinstance(node, ast.FunctionDef)
-    }
+    body = ast.parse(inspect.getsource(importlib.import_module(module))).body
+    functions = {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
     names = {name for name, node in functions.items() if raises(node)}
     while more := {
         name for name, node in functions.items() if name not in names and called(node) & names
@@ -153,14 +147,9 @@ def raising(module: str) -> frozenset[str]:
 
 
 def raises(node: ast.AST) -> bool:
-    raised = [
-        part.exc.func
-        for part in ast.walk(node)
-        if isinstance(part, ast.Raise) and isinstance(part.exc, ast.Call)
-    ]
     return any(
-        isinstance(function, ast.Name) and function.id in ("invalid", "PixsimError")
-        for function in raised
+        isinstance(part, ast.Raise) and called(part) & {"invalid", "PixsimError"}
+        for part in ast.walk(node)
     )
 
 
@@ -190,14 +179,11 @@ def description_of(name: str, text: str) -> str:
     prose.
     """
     entry = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* : (.*(?:\n +.*)*)", text, re.MULTILINE)
-    if entry:
-        return entry[1]
-    return text if re.search(rf"\b{name}\b", text) else ""
+    is_in_prose = re.search(rf"\b{name}\b", text)
+    return entry[1] if entry else text if is_in_prose else ""
 
 
-def complaints(
-    name: str, function: Callable[..., Any], tree: ast.FunctionDef | None = None
-) -> Iterator[tuple[str, str]]:
+def complaints(name: str, function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
     """(rule, what is missing) for a function or a property's getter."""
     text = inspect.cleandoc(function.__doc__ or "")
     if not text:
@@ -218,30 +204,26 @@ def complaints(
             and not UNIT_WORDS.search(description)
         ):
             yield "unit", f"{parameter} has none in its name or its description"
-    if re.fullmatch(r"float( \| None)?", result) and not (
-        has_unit(short_name) or UNIT_WORDS.search(text)
-    ):
-        yield "unit", "of the result"
     arrays = [value for value, hint in {**hints, "result": result}.items() if ARRAY.search(hint)]
-    if arrays and not SHAPE.search(text):
-        yield "shape", f"of {', '.join(arrays)}"
-    if ARRAY.search(result) and not (has_unit(short_name) or UNIT_WORDS.search(text)):
-        yield "unit", "of the result"
     module = function.__module__
-    raised = (
-        raises(tree) or called(tree) & raising(module)
-        if tree
-        else function.__name__ in raising(module)
-    )
-    if raised and "PixsimError" not in text:
-        yield "errors", "it can raise PixsimError"
-    kernel = (
+    is_number = re.fullmatch(r"float( \| None)?", result) or ARRAY.search(result)
+    is_kernel = (
         module.removeprefix("pixsim.") in KERNELS
         and function.__qualname__ == function.__name__
         and ARRAY.search(result)
+        and not RECORD.search(" ".join(hints.values()))
     )
-    if kernel and not RECORD.search(" ".join(hints.values())) and not names_source(text, module):
-        yield "source", "missing"
+    missing = {
+        ("unit", "of the result"): (
+            is_number and not (has_unit(short_name) or UNIT_WORDS.search(text))
+        ),
+        ("shape", f"of {', '.join(arrays)}"): arrays and not SHAPE.search(text),
+        ("errors", "it can raise PixsimError"): (
+            function.__name__ in raising(module) and "PixsimError" not in text
+        ),
+        ("source", "missing"): is_kernel and not names_source(text, module),
+    }
+    yield from (complaint for complaint, is_missing in missing.items() if is_missing)
 
 
 def names_source(text: str, module: str) -> bool:

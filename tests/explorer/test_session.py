@@ -3,7 +3,6 @@
 import base64
 import io
 import shlex
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,6 @@ CONTROLLED_FIELDS = {
     "camera.f_number": 5.6,
     "exposure.gain_db": 6.1,
     "scene.luminance_cd_per_m2": 300.0,
-}
-CONTROLLED_FIELDS |= {
     "motion.image_um_per_s": 500.0,
     "develop.denoise": "nlm",
     "develop.denoise_strength": 1.5,
@@ -51,11 +48,6 @@ def pixels(uri: str) -> NDArray[Any]:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
 
 
-def codes_of(path: Path) -> NDArray[Any]:
-    """The codes of a grey picture of a run, which are the same in its three channels."""
-    return np.asarray(Image.open(path).convert("L"))
-
-
 def with_pictures(messages: list[dict[str, Any]]) -> dict[str, Any]:
     """The first message with pictures."""
     return next(message for message in messages if "pictures" in message)
@@ -64,6 +56,15 @@ def with_pictures(messages: list[dict[str, Any]]) -> dict[str, Any]:
 def final(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The messages whose errors are measured, one for each sensor."""
     return [message for message in messages if message.get("sure")]
+
+
+def assert_repeats(words: list[object], out: Path, pictures: dict[str, str]) -> None:
+    """A command gives the pictures of the page bit for bit, in each of its three channels."""
+    code, _, err = command("", *words, "--irradiance", "none", "--out", out)
+    assert code == 0, err
+    for name in ("ideal", "image"):
+        codes = np.asarray(Image.open(out / f"{name}.png").convert("L"))
+        np.testing.assert_array_equal(pixels(pictures[name]), codes)
 
 
 @pytest.fixture(scope="module")
@@ -81,21 +82,18 @@ def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
     assert "± " in last["lines"][0]
 
 
-SETTINGS = {
-    **SMALL,
-    "pixel": {"pitch_um": 40.0},
-    "camera": {"f_number": 5.6},
-    "exposure": {"gain_db": 6.1},
-    "motion": {"image_um_per_s": (500.0, 0.0)},
-    "develop": {"denoise": "nlm", "denoise_strength": 1.5},
-    "parameters": {"luminance_cd_per_m2": 300.0},
-}
-
-
 def test_first_picture_is_that_of_a_run_bit_for_bit(answered):
     """Its number is that of one sensor."""
     first = with_pictures(answered[1])
-    score = run("csf", **SETTINGS).score
+    settings = {
+        "pixel": {"pitch_um": 40.0},
+        "camera": {"f_number": 5.6},
+        "exposure": {"gain_db": 6.1},
+        "motion": {"image_um_per_s": (500.0, 0.0)},
+        "develop": {"denoise": "nlm", "denoise_strength": 1.5},
+        "parameters": {"luminance_cd_per_m2": 300.0},
+    }
+    score = run("csf", **SMALL | settings).score
     np.testing.assert_array_equal(pixels(first["pictures"]["image"]), display_codes(score.image))
     np.testing.assert_array_equal(pixels(first["pictures"]["ideal"]), display_codes(score.ideal))
     assert f"mean ΔE {score.mean_delta_e:.3f} of one sensor" in first["lines"][0]
@@ -104,18 +102,28 @@ def test_first_picture_is_that_of_a_run_bit_for_bit(answered):
 
 @pytest.mark.parametrize("way", ["command", "settings.toml"])
 def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
-    pictures = with_pictures(answered[1])["pictures"]
     last = final(answered[1])[0]
     (tmp_path / "settings.toml").write_text(last["settings"])
     words = ["run", "csf", "--config", tmp_path / "settings.toml"]
     if way == "command":
         words = shlex.split(last["command"])[1:]
-    code, _, err = command("", *words, "--irradiance", "none", "--out", tmp_path / "out")
-    assert code == 0, err
-    for name in ("ideal", "image"):
-        np.testing.assert_array_equal(
-            pixels(pictures[name]), codes_of(tmp_path / f"out/{name}.png")
-        )
+    assert_repeats(words, tmp_path / "out", with_pictures(answered[1])["pictures"])
+
+
+def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    light = pixsim.render(pixsim.load_scene("csf", resolution=64), pixsim.Camera())
+    header = dict(light.header)
+    session = Session(light, (), {"pixel": {"pitch_um": 42.4}, "display": {"dots": 32}})
+    paths = {control.path for control in session.controls}
+    assert not {"lens.file", "scene.luminance_cd_per_m2"} & paths
+
+    sent = answers(session, PageRequest(1, ((0, {"exposure.gain_db": 3.0}),)))
+    assert light.header == header
+    last = final(sent)[0]
+    pixsim.write_exr("light.exr", light)
+    Path("settings.toml").write_text(last["settings"])
+    assert_repeats(shlex.split(last["command"])[1:], Path("out"), with_pictures(sent)["pictures"])
 
 
 def test_cached_light_and_ideal_change_no_bit(answered):
@@ -139,9 +147,9 @@ def test_two_sensors_share_scene_camera_and_display():
     session = Session("csf", (), SMALL)
     both = ({"camera.f_number": 8.0, "pixel.pitch_um": 50.0}, {"camera.f_number": 2.0})
     last = final(answers(session, PageRequest(1, tuple((0, values) for values in both))))
-    assert [message["values"]["camera.f_number"] for message in last] == [8.0, 8.0]
-    assert [message["values"]["pixel.pitch_um"] for message in last] == [50.0, 42.4]
-    assert [message["sensor"] for message in last] == [0, 1]
+    names = "camera.f_number", "pixel.pitch_um"
+    shared = [(message["sensor"], *map(message["values"].get, names)) for message in last]
+    assert shared == [(0, 8.0, 50.0), (1, 8.0, 42.4)]
 
 
 def test_only_the_last_settings_count():
@@ -153,22 +161,19 @@ def test_only_the_last_settings_count():
     def send(message: dict[str, Any]) -> None:
         sent.append(message)
         if message["number"] == 1 and "point" in message:
-            session.ask(PageRequest(2, ((0, {"pixel.pitch_um": 60.0}),)))
-            session.ask(PageRequest(3, ((0, {"pixel.pitch_um": 50.0}),)))
+            for number, pitch_um in ((2, 60.0), (3, 50.0)):
+                session.ask(PageRequest(number, ((0, {"pixel.pitch_um": pitch_um}),)))
         if message.get("done"):
             session.end()
 
     session.send = send
     session.ask(PageRequest(1, ((0, {}),), (), True))
-    thread = threading.Thread(target=session.serve)
-    thread.start()
-    thread.join(120)
-    assert not thread.is_alive()
+    session.serve()
     assert [message["number"] for message in sent if message.get("done")] == [3]
-    assert {message["number"] for message in sent} == {1, 3}
-    assert len([message for message in sent if "point" in message]) == 1
+    assert sum("point" in message for message in sent) == 1
     numbers = [message["number"] for message in sent]
     assert numbers == sorted(numbers)
+    assert set(numbers) == {1, 3}
 
 
 def test_curve_has_the_intervals_of_runs_and_ends_where_pixels_are_impossible():
@@ -188,25 +193,6 @@ def test_curve_has_the_intervals_of_runs_and_ends_where_pixels_are_impossible():
     assert (mean, half) == pytest.approx((result.mean_delta_e, (high - low) / 2), rel=1e-12)
 
 
-def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    light = pixsim.render(pixsim.load_scene("csf", resolution=64), pixsim.Camera())
-    header = dict(light.header)
-    session = Session(light, (), {"pixel": {"pitch_um": 42.4}, "display": {"dots": 32}})
-    assert not {"lens.file", "scene.luminance_cd_per_m2"} & {
-        control.path for control in session.controls
-    }
-    sent = answers(session, PageRequest(1, ((0, {"exposure.gain_db": 3.0}),)))
-    assert light.header == header
-    last = final(sent)[0]
-    pixsim.write_exr("light.exr", light)
-    Path("settings.toml").write_text(last["settings"])
-    code, _, err = command("", *shlex.split(last["command"])[1:], "--out", "out")
-    assert code == 0, err
-    uri = with_pictures(sent)["pictures"]["image"]
-    np.testing.assert_array_equal(pixels(uri), codes_of(tmp_path / "out/image.png"))
-
-
 # --- controls
 # ---------------------------------------------------------------------------------------------------------------------
 
@@ -215,21 +201,20 @@ def test_controls_have_what_their_fields_declare():
     """Of a pair of numbers, the first is turned."""
     controls = {control.path: control for control in controls_of((), ())}
     declared = Run.model_json_schema()["$defs"]["Exposure"]["properties"]["max_gain_db"]
-    gain = controls["exposure.gain_db"]
+    gain, motion = controls["exposure.gain_db"], controls["motion.image_um_per_s"]
     assert (gain.minimum, gain.maximum, gain.unit) == (0, declared["maximum"], "dB")
     assert (gain.choices, gain.page_value("auto")) == ((), None)
-    assert controls["pixel.pitch_um"].unit == "µm"
-    assert all(control.help for control in controls.values())
-    motion = controls["motion.image_um_per_s"]
     assert (motion.unit, motion.pair) == ("µm/s", True)
     assert (motion.value(3), motion.page_value((3.0, 0.0))) == ([3.0, 0.0], 3.0)
+    assert controls["pixel.pitch_um"].unit == "µm"
+    assert all(control.help for control in controls.values())
 
 
-def test_controls_of_a_scene_follow_its_parameters():
-    assert "scene.lux" in {control.path for control in Session("still_life", (), SMALL).controls}
-    assert "scene.luminance_cd_per_m2" in {
-        control.path for control in Session("flat", (), SMALL).controls
-    }
+@pytest.mark.parametrize(
+    ("scene", "path"), [("still_life", "scene.lux"), ("flat", "scene.luminance_cd_per_m2")]
+)
+def test_controls_of_a_scene_follow_its_parameters(scene, path):
+    assert path in {control.path for control in Session(scene, (), SMALL).controls}
 
 
 @pytest.mark.parametrize(

@@ -3,24 +3,10 @@
 from __future__ import annotations
 
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
-from matplotlib.lines import Line2D
 
 from pixsim.show.pages import Plate
-
-
-def grey_look(line: Line2D) -> tuple[object, ...]:
-    """Properties of a line other than its colour."""
-    hollow = line.get_markerfacecolor() == "none"
-    return (
-        line.get_linestyle(),
-        line._unscaled_dash_pattern,
-        line.get_marker(),
-        hollow,
-        line.get_linewidth(),
-    )
 
 
 class Elements(HTMLParser):
@@ -44,11 +30,6 @@ class Elements(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.words.append(data)
-
-
-def text_of(folder: Path) -> str:
-    """HTML of the report in a folder."""
-    return (folder / "report.html").read_text(encoding="utf-8")
 
 
 def lines_without_rows(plate: Plate) -> list[str]:

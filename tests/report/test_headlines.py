@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
@@ -22,7 +21,6 @@ from pixsim.show.document import plain_text
 from pixsim.show.render import text
 from pixsim.studies.curve import CaseLabels, CurveErrors
 from pixsim.studies.film_error import FilmError, light_error_and_limit
-from pixsim.studies.run import RunResult
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause, converged
 
@@ -42,27 +40,21 @@ NAMED = [[], CAUSES[:1], CAUSES[2:3], CAUSES[3:], CAUSES[2:]]
 FRAME = {"pixels": (4170, 4170), "integration_s": 0.1, "saturated_fraction": 0.25}
 
 
-def runs() -> Iterator[RunResult]:
-    """Runs whose errors are known in all the ways there are."""
-    for film, header, causes, longest in product(FILMS, NOISES, NAMED, (0.1, 1.0)):
-        settings = {"exposure": {"max_integration_s": longest}, "display": {"dots": 512}}
-        of_sensor: dict[str, Any] = {
-            "settings": settings,
-            "frame": FRAME,
-            "pitch_um": 5.857,
-            "border_um": 10.6,
-        }
-        for delta_e in ([76.54], [76.1234, 76.5432, 76.9]):
-            yield run_result(delta_e, header, film, causes, **of_sensor)
-
-
-def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
-    for result in runs():
+@pytest.mark.parametrize("longest_s", [0.1, 1.0])
+@pytest.mark.parametrize("delta_e", [[76.54], [76.1234, 76.5432, 76.9]])
+def test_headlines_of_runs_are_short_and_name_the_largest_cause(
+    delta_e: list[float], longest_s: float
+) -> None:
+    """Of runs whose errors are known in all the ways there are."""
+    settings = {"exposure": {"max_integration_s": longest_s}, "display": {"dots": 512}}
+    sizes: Any = {"settings": settings, "frame": FRAME, "pitch_um": 5.857, "border_um": 10.6}
+    for film, header, causes in product(FILMS, NOISES, NAMED):
+        result = run_result(delta_e, header, film, causes, **sizes)
         head = plain_text(run_answer(result).head)
         assert len(head.split()) <= MAX_HEADLINE_WORDS, head
         assert head == f"mean ΔE {shown_mean_of(result)}"
-        warnings = [cause.words in head for cause in result.causes] + ["not converged" in head]
-        is_unsure = bool(result.causes) or not converged(result.light, result.light_limit)
+        warnings = [cause.words in head for cause in causes] + ["not converged" in head]
+        is_unsure = bool(causes) or not converged(result.light, result.light_limit)
         assert sum(warnings) == is_unsure, "one warning at most"
 
 

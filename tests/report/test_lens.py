@@ -18,16 +18,11 @@ from pixsim.measure.lens import lens_data
 from pixsim.report.lens import lens_document
 
 
-def test_tables_hold_the_lines_drawn() -> None:
-    data = lens_data(pixsim.load_lens("double_gauss"), [486.1, 656.3])
-    drawn = [plot.draw() for plot in lens_document(data).plots]
-    assert {plate.name: lines for plate in drawn if (lines := lines_without_rows(plate))} == {}
-
-
-def test_texts_of_figures_lie_inside() -> None:
+def test_figures_show_lines_of_their_tables_and_texts_inside() -> None:
     """With labels of three decimals."""
     data = lens_data(pixsim.load_lens("double_gauss").scaled(0.005), [486.1, 656.3])
     for plate in (plot.draw() for plot in lens_document(data).plots):
+        assert lines_without_rows(plate) == [], plate.name
         plate.figure.canvas.draw()
         width, height = plate.figure.canvas.get_width_height()
         inside = plate.figure.get_tightbbox().transformed(plate.figure.dpi_scale_trans)

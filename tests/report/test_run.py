@@ -65,12 +65,6 @@ def test_run_saved_irradiance_same_score(rendered, lens, tmp_path):
     assert before["camera"]["f_number"] == 2.8
 
 
-def test_read_with_camera_takes_die_from_file(rendered):
-    image, camera = read_with_camera(rendered[0] / "irradiance.exr", CameraOptions())
-    assert camera == pixsim.Camera(f_number=2.8)
-    assert camera.die_mm == pytest.approx(image.pitch_um * 64 / 1e3)
-
-
 # --- Pictures made elsewhere ---
 
 NM = np.array([450.0, 550.0, 650.0])
@@ -84,74 +78,62 @@ def foreign_exr(path: Path, units: str | None, light: float = 0.01) -> Path:
     return path
 
 
-def test_units_of_the_file_and_of_the_option_are_the_same(tmp_path):
+@pytest.mark.parametrize(
+    ("units", "light", "option"),
+    [(None, 0.01, "--units W.m^-2.nm^-1"), (None, 1.0, "--units uW/cm^2/nm")],
+)
+def test_units_of_the_file_and_of_the_option_are_the_same(units, light, option, tmp_path):
     """1 µW/cm² is 0.01 W/m²."""
-    here = f"{OPTIONS} --json --out {tmp_path / 'out'}"
-    path = tmp_path / "bare.exr"
-    electrons = []
-    for units, light, option in (
-        ("W.m^-2.nm^-1", 0.01, ""),
-        (None, 0.01, "--units W.m^-2.nm^-1"),
-        (None, 1.0, "--units uW/cm^2/nm"),
-    ):
-        score, _ = scored(f"run {foreign_exr(path, units, light)} {option} {here}")
-        electrons.append(score["mean_electrons_e"])
-    np.testing.assert_allclose(electrons, electrons[0], rtol=1e-6)
+    end = f"{OPTIONS} --json --out {tmp_path / 'out'}"
+    stated, _ = scored(f"run {foreign_exr(tmp_path / 'stated.exr', 'W.m^-2.nm^-1')} {end}")
+    score, _ = scored(f"run {foreign_exr(tmp_path / 'bare.exr', units, light)} {option} {end}")
+    assert score["mean_electrons_e"] == pytest.approx(stated["mean_electrons_e"], rel=1e-6)
 
 
 def test_run_radiance_passes_lens(tmp_path):
     path = foreign_exr(tmp_path / "seen.exr", "W.m^-2.sr^-1.nm^-1", 0.1)
-    exposure = "--exposure.integration-s 1e-4"
-    lines = [
-        f"run {path} --camera.f-number {n} {exposure} {OPTIONS} --json --out {tmp_path / 'out'}"
-        for n in (4, 8)
-    ]
-    rates = [scored(line)[0]["mean_electrons_e"] for line in lines]
+    line = f"run {path} --exposure.integration-s 1e-4 {OPTIONS} --json --out {tmp_path / 'out'}"
+    fast, slow = (
+        scored(f"{line} --camera.f-number {f_number}")[0]["mean_electrons_e"] for f_number in (4, 8)
+    )
     m = pixsim.Camera().magnification
     # On the axis; 20° off it .5 % more. 4 for 1/N² alone is 1.2 % off.
     expected = (1 + 4 * 64 * (1 + m) ** 2) / (1 + 4 * 16 * (1 + m) ** 2)
-    assert rates[0] / rates[1] == pytest.approx(expected, rel=5e-3)
+    assert fast / slow == pytest.approx(expected, rel=5e-3)
 
 
 def test_run_unknown_white_is_measured(tmp_path):
+    """D65 that gives the sensor the electrons of the ramp's 99th percentile behind the lens; even
+    over bands of 100 nm.
+    """
     path = foreign_exr(tmp_path / "ramp.exr", "W.m^-2.sr^-1.nm^-1")
-    message, err = scored(f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}")
-    white = message["irradiance"]["luminance_cd_per_m2"]
-    assert message["irradiance"]["white_from"] == "99th percentile of the ideal image"
-    # D65, in place of its unknown white, that gives the sensor the ramp's electrons behind the
-    # lens; even over bands of 100 nm.
-    fine_nm = NM[:, None] + np.linspace(-49.5, 49.5, 100)
-    electrons, daylight = (
-        pixsim.derive(pixsim.Pixel()).quantum_efficiency(fine_nm) * fine_nm,
-        pixsim.spectral.d65(fine_nm),
-    )
-    white_sum = pixsim.spectral.photopic_efficiency(fine_nm).mean(axis=1) @ daylight.mean(axis=1)
-    expected = (
-        683.002
-        * 0.01
-        * electrons.sum()
-        * white_sum
-        / (electrons.mean(axis=1) @ daylight.mean(axis=1))
-    )
+    line = f"run {path} {OPTIONS} --json --out {tmp_path / 'out'}"
+    measured, err = scored(line)
+    white = measured["irradiance"]["luminance_cd_per_m2"]
+    assert measured["irradiance"]["white_from"] == "99th percentile of the ideal image"
+    assert f"using {white:g} cd/m²" in err
+
+    nm = NM[:, None] + np.linspace(-49.5, 49.5, 100)
+    response = pixsim.derive(pixsim.Pixel()).quantum_efficiency(nm) * nm
+    daylight = pixsim.spectral.d65(nm).mean(axis=1)
+    luminous = 683.002 * pixsim.spectral.photopic_efficiency(nm).mean(axis=1) @ daylight
     image, camera = read_with_camera(path, CameraOptions())
     lens = camera.image_distance_mm, camera.f_number, camera.magnification
-    fall_off = pixsim.optics.field_factor(
-        image.shape, image.pitch_um, *lens
-    ) / pixsim.optics.irradiance_factor(lens[1], 0.0, lens[2])
-    expected *= np.percentile(np.linspace(0.2, 1, 64) * fall_off, 99)
+    on_axis = pixsim.optics.irradiance_factor(lens[1], 0.0, lens[2])
+    fall_off = pixsim.optics.field_factor(image.shape, image.pitch_um, *lens) / on_axis
+    ramp = 0.01 * np.percentile(np.linspace(0.2, 1, 64) * fall_off, 99)
+    expected = ramp * response.sum() * luminous / (response.mean(axis=1) @ daylight)
     assert white == pytest.approx(expected, rel=0.04)  # a border that is not scored, and two digits
-    assert f"using {white:g} cd/m²" in err
-    stated, err = scored(
-        f"run {path} --display.white-cd-per-m2 {white:g} {OPTIONS} --json --out {tmp_path / 'out'}"
-    )
+
+    stated, err = scored(f"{line} --display.white-cd-per-m2 {white:g}")
     assert "using" not in err
-    assert stated["mean_delta_e"] == message["mean_delta_e"]
+    assert stated["mean_delta_e"] == measured["mean_delta_e"]
     assert "white_from" not in stated["irradiance"]
 
 
 @pytest.fixture(scope="module")
-def three_frames(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
-    """A folder with runs of 1, 2 and 3 frames of a uniform light, and the scores by their number."""
+def three_frames(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, dict]:
+    """A folder with runs of 1, 2 and 3 frames of a uniform light; scores and codes by number."""
     folder = tmp_path_factory.mktemp("frames")
     uniform = np.full((32, 32, 3), 0.002)
     light = pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 84.8, data=uniform)
@@ -159,24 +141,23 @@ def three_frames(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     # No code clips
     pixel = "--pixel.pitch-um 10 --pixel.bits 14 --pixel.black-level-dn 500 --pixel.prnu 0.02"
     line = f"run {folder / 'uniform.npz'} {pixel} --exposure.well-target 0.5 --display.dots 32"
-    return folder, {
-        count: scored(f"{line} --raw npz --json --frames {count} --out {folder / str(count)}")[0]
-        for count in (1, 2, 3)
-    }
-
-
-def frames_in(folder: Path, suffix: str = "npz") -> np.ndarray:
-    """The codes of all frames of a run, (frame, row, column)."""
-    paths = sorted(folder.glob(f"raw*.{suffix}"))
-    return np.array([pixsim.read_frame(path).dn for path in paths])
+    scores, frames = {}, {}
+    for count in (1, 2, 3):
+        out = folder / str(count)
+        scores[count], _ = scored(f"{line} --raw npz --json --frames {count} --out {out}")
+        frames[count] = np.array(
+            [pixsim.read_frame(path).dn for path in sorted(out.glob("raw*.npz"))]
+        )
+    return folder, scores, frames
 
 
 def test_frames_do_not_depend_on_their_number(three_frames):
-    folder, scores = three_frames
-    dn = frames_in(folder / "3")
-    np.testing.assert_array_equal(frames_in(folder / "3", "exr"), dn)
+    folder, scores, frames = three_frames
+    three = frames[3]
     for count in (1, 2):
-        np.testing.assert_array_equal(frames_in(folder / str(count)), dn[:count])
+        np.testing.assert_array_equal(frames[count], three[:count])
+    exr = [pixsim.read_frame(path).dn for path in sorted((folder / "3").glob("raw*.exr"))]
+    np.testing.assert_array_equal(exr, three)
     assert [score.pop("frames", 1) for score in scores.values()] == [1, 2, 3]
     assert scores[1] == scores[2] == scores[3]
     assert "--frames 2" in (folder / "2/settings.toml").read_text(encoding="utf-8")
@@ -186,8 +167,8 @@ def test_frames_share_the_fixed_pattern_and_have_noise_of_their_own(three_frames
     """Covariance of frames is the fixed pattern, half the variance of differences the temporal
     noise.
     """
-    folder, scores = three_frames
-    dn = frames_in(folder / "3").astype(float)
+    _, scores, frames = three_frames
+    dn = frames[3].astype(float)
     pixel = pixsim.Pixel.model_validate(scores[1]["pixel"])
     readout = Readout.of(derive(pixel))
     time_s = scores[1]["integration_s"]
@@ -208,7 +189,11 @@ def test_frames_share_the_fixed_pattern_and_have_noise_of_their_own(three_frames
 def test_irradiance_option_changes_the_file_and_no_number(tmp_path):
     """Factors of a cube that has none are its bands in full; 2048 samples are reduced to 1024."""
     y, x = np.indices((64, 2048))
-    light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
+    nm = np.arange(400.0, 701.0, 20.0)
+    stripes = 5e-5 * (1.0 + (x // 3 + y) % 2)[:, :, None] * np.ones(nm.size)
+    light = tmp_path / "wide.npz"
+    header = {"units": "W m^-2 nm^-1", "pitch_um": 1.0, "white_cd_per_m2": 300.0}
+    np.savez(light, data=stripes, wavelength_nm=nm, **header)
     settings = "--pixel.pitch-um 10 --display.dots 128 --json"
     shapes = {"full": (64, 2048), "factors": (64, 2048), "none": None, "reduced": (32, 1024)}
     scores = []
@@ -226,26 +211,6 @@ def test_irradiance_option_changes_the_file_and_no_number(tmp_path):
     assert "holds means over 2 × 2 samples" in err
     assert again["irradiance"]["reduced"] == {"samples": [64, 2048], "factor": 2.0}
     assert again["mean_electrons_e"] == pytest.approx(scores[0][1], rel=1e-3)
-
-
-# --- The page of one picture ---
-
-
-def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
-    """Irradiance as another program wrote it: a picture of ones and twos, these about half as
-    bright as white.
-    """
-    nm = np.arange(400.0, 701.0, 20.0)
-    data = 5e-5 * steps[:, :, None] * np.ones(nm.size)
-    np.savez(
-        path,
-        data=data,
-        wavelength_nm=nm,
-        units="W m^-2 nm^-1",
-        pitch_um=pitch_um,
-        white_cd_per_m2=300.0,
-    )
-    return path
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import tempfile
 import tomllib
 import warnings
 from pathlib import Path
@@ -16,14 +15,11 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.sheets import two_sheets
-from helpers.tiny import COARSE, tiny_toml
+from helpers.tiny import tiny_toml
 
 import pixsim
-from pixsim.base.digits import span
 from pixsim.base.toml import packaged
-from pixsim.report.axes import one_at_a_time_table
 from pixsim.scene.charts import siemens_star, write_chart
-from pixsim.studies.result import StudyResult
 
 SHEET = """
 [pixel]
@@ -163,94 +159,50 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     assert (same / "raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
 
 
-def study_of(desk: Path, toml: str, under: str = "", **options: object) -> StudyResult:
-    """Run a study, by its own file, or by that file over another one."""
-    (desk / "own.toml").write_text(f'name = "own"\nrepeats = 2\n{toml}', encoding="utf-8")
-    files = (
-        {"plan": desk / under, "config": desk / "own.toml"}
-        if under
-        else {"plan": desk / "own.toml"}
-    )
-    with warnings.catch_warnings(action="ignore"):
-        return pixsim.study(
-            out=desk / "out", **{"jobs": 1, "parameters": {"spp": 4}} | files | options
-        )
+DARK = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
+PLAN = 'name = "own"\nrepeats = 2\nrender_noise = 10\nresolution = 48\n'
+OPEN = "pitch.count = 6\ndisplay.dots = 50\n"
 
 
-def assert_repeats(result: StudyResult, folder: Path, variant: str | None = None) -> None:
-    """The study of a result's settings.toml, in another folder, has the same numbers; its head
-    names the command.
+@pytest.mark.parametrize(
+    ("files", "options"),
+    [
+        ({"plan": OPEN, "config": "sheet.toml"}, {"window_mm": 0.9, "pitch": {"min_um": 10}}),
+        ({"plan": OPEN + "camera.die_mm = 1.0\npitch.min_fill_factor = 0.3\n"},
+         {"pixel": {"technology": "mine.toml"}, "parameters": {"chart": "star.exr", "spp": 4}}),
+        ({"plan": f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{AXIS}", "config": "sheet.toml"}, {"window_mm": 0.9}),
+        # layers and ranges stand there as values, beside a condition
+        ({"plan": "tiny.toml", "config": DARK + DUSK}, {"variant": "scalar_spectral"}),
+    ],
+)  # fmt: skip
+def test_study_of_settings_has_the_same_numbers(
+    files: dict[str, str],
+    options: dict[str, Any],
+    desk: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In another folder; the head of settings.toml names the command.
+
+    files : a file as plan and as config, or what follows `PLAN` in one
     """
-    folder.mkdir()
-    (folder / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
-    assert command_in(folder) == f"study settings.toml{f' --variant {variant}' if variant else ''}"
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(action="ignore"):
-        patch.chdir(folder)
+    paths = dict(files)
+    for name, text in files.items():
+        if "\n" in text:
+            paths[name] = f"{name}.toml"
+            Path(paths[name]).write_text(f"{PLAN}{text}", encoding="utf-8")
+    with warnings.catch_warnings(action="ignore"):
+        result = pixsim.study(out=desk / "out", jobs=1, **paths, **options)
+        monkeypatch.chdir(tmp_path)
+        Path("settings.toml").write_text(result.settings_toml, encoding="utf-8")
+        variant = options.get("variant")
         again = pixsim.study("settings.toml", "again", variant=variant, jobs=1)
+
+    shell = f"study settings.toml{f' --variant {variant}' if variant else ''}"
+    assert command_in(tmp_path) == shell
     for first, second in zip(result.curves, again.curves, strict=True):
-        assert np.array_equal(
-            first.delta_e, second.delta_e, equal_nan=True
-        )  # of sizes with fewer sensors
+        np.testing.assert_array_equal(first.delta_e, second.delta_e)  # NaN: fewer sensors
     assert len({curve.delta_e.tobytes() for curve in result.curves}) == len(result.curves), (
         "what a case sets is used"
     )
     assert tomllib.loads(again.settings_toml) == tomllib.loads(result.settings_toml)
-
-
-@pytest.mark.parametrize(
-    ("toml", "options"),
-    [
-        ("", {"config": "sheet.toml", "window_mm": 0.9, "pitch": {"min_um": 10}}),
-        (
-            "camera.die_mm = 1.0\npitch.min_fill_factor = 0.3\n",
-            {"pixel": {"technology": "mine.toml"}, "parameters": {"chart": "star.exr"}},
-        ),
-    ],
-)
-def test_study_settings_make_same_numbers(
-    toml: str, options: dict[str, Any], desk: Path, tmp_path: Path
-) -> None:
-    result = study_of(
-        desk,
-        f"render_noise = 10\npitch.count = 6\ndisplay.dots = 50\n{toml}",
-        resolution=COARSE,
-        **options,
-    )
-    assert result.curves[0].delta_e.size >= 12  # and those that an open end asks for
-    assert_repeats(result, tmp_path / "again")
-
-
-def test_settings_of_study_with_layers_and_range_repeat_it(desk: Path, tmp_path: Path) -> None:
-    """Layers and ranges stand there as values, beside a condition."""
-    axis = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
-    result = study_of(desk, axis + DUSK, "tiny.toml", variant="scalar_spectral", parameters=None)
-    sizes = [curve.optimum.pitch_um for curve in result.curves]
-    ((name, words, _),) = one_at_a_time_table(result).rows
-    assert (name, words) == ("dark", span(min(sizes), max(sizes), ".2f"))
-    assert_repeats(result, tmp_path / "again", "scalar_spectral")
-
-
-def test_settings_of_cases_state_the_display_that_was_chosen(desk: Path, tmp_path: Path) -> None:
-    """In a window of 0.9 mm: a dot for each of 75 columns of 12 µm, and the chart to their Nyquist
-    frequency.
-    """
-    table = f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{AXIS}"
-    result = study_of(desk, table, config="sheet.toml", window_mm=0.9, resolution=COARSE)
-    settings = tomllib.loads(result.settings_toml)
-    assert settings["display"]["dots"] == 75
-    highest_lp_per_mm = settings["scene"]["parameters"]["max_lp_per_mm"]
-    assert highest_lp_per_mm == pytest.approx(1e3 / 24, rel=1e-12)
-    assert_repeats(result, tmp_path / "again")
-
-
-def test_texture_file_without_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A cache that cannot be written does not stop a run that needs a chart of its own."""
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / "file"))
-    monkeypatch.setattr(
-        tempfile, "tempdir", str(tmp_path)
-    )  # the chart stays there until this process ends
-    scene = pixsim.load_scene("csf", resolution=32, max_lp_per_mm=20)
-    image = pixsim.render(scene, pixsim.Camera())
-    assert "chart" not in image.header["parameters"]
-    assert float(image.header["parameters"]["max_lp_per_mm"]) == 20

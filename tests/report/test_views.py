@@ -42,25 +42,19 @@ def decoded(png: bytes) -> np.ndarray:
 def test_windows_are_square_and_cover(shape: tuple[int, int]) -> None:
     side = min(DETAIL_DOTS, *shape)
     picture = np.arange(np.prod(shape)).reshape(shape)
-    seen: set[int] = set()
-    for window in windows(shape):
-        part = window.of(picture)
-        assert part.shape == (side, side)
-        seen |= set(part.ravel().tolist())
-    assert len(seen) == picture.size
+    parts = [window.of(picture) for window in windows(shape)]
+    assert {part.shape for part in parts} == {(side, side)}
+    assert len(np.unique(parts)) == picture.size
 
 
-def test_window_at_position() -> None:
-    y, x = np.indices((512, 300))
-    for centre, corner in {
-        (0.0, 0.0): (0, 0),
-        (1.0, 1.0): (400, 188),
-        (0.5, 0.5): (200, 94),
-        (1.0, 0.0): (0, 188),
-    }.items():
-        window = window_at(centre, (512, 300))
-        assert (window.of(y)[0, 0], window.of(x)[0, 0]) == corner
-        assert window.of(y).shape == (112, 112)
+@pytest.mark.parametrize(
+    ("centre", "corner"),
+    [((0.0, 0.0), (0, 0)), ((1.0, 1.0), (400, 188)), ((0.5, 0.5), (200, 94)), ((1.0, 0.0), (0, 188))],
+)  # fmt: skip
+def test_window_at_position(centre: tuple[float, float], corner: tuple[int, int]) -> None:
+    part = window_at(centre, (512, 300)).of(np.indices((512, 300)).transpose(1, 2, 0))
+    assert part.shape == (112, 112, 2)
+    assert tuple(part[0, 0]) == corner
 
 
 @pytest.mark.parametrize("coarse", [(1, 1), (2, 2), (5, 3)])
@@ -68,16 +62,11 @@ def test_window_of_coarse_picture_is_not_empty(coarse: tuple[int, int]) -> None:
     """With a dot for each pixel, the largest pixels' picture can be smaller than a detail's share
     of the finest.
     """
-    seen: set[int] = set()
     picture = np.arange(coarse[0] * coarse[1]).reshape(coarse)
-    for window in [
-        *windows((512, 300)),
-        *(window_at(at, (512, 512)) for at in ((0.0, 1.0), (1.0, 1.0), (0.5, 0.99))),
-    ]:
-        part = window.of(picture)
-        assert part.size > 0
-        seen |= set(part.ravel().tolist())
-    assert len(seen) == picture.size
+    corners = [window_at(at, (512, 512)) for at in ((0.0, 1.0), (1.0, 1.0), (0.5, 0.99))]
+    parts = [window.of(picture).ravel() for window in (*windows((512, 300)), *corners)]
+    assert min(map(len, parts)) > 0
+    assert len(np.unique(np.concatenate(parts))) == picture.size
     assert worst_window([np.ones((512, 300)), np.zeros(coarse)]) in windows((512, 300))
 
 
@@ -142,15 +131,22 @@ def test_study_views_match_scores(tiny_result: StudyResult) -> None:
         np.testing.assert_array_equal(decoded(output.png), display_codes(scores[place].image))
 
 
-def test_best_place_is_smallest_mean(tiny_result: StudyResult) -> None:
+@pytest.mark.parametrize(
+    ("least", "names"),
+    [
+        ([3.0, 1.0, 1.2, 1.1, 2.0, 3.0], ["smallest", "least error tried", "largest"]),
+        ([1.0, 1.1, 1.2, 2.0, 3.0, 3.0], ["smallest, least error tried", "largest"]),
+    ],
+)
+def test_best_place_is_smallest_mean(
+    least: list[float], names: list[str], tiny_result: StudyResult
+) -> None:
     """Whatever size the fitted curve has as its optimum."""
-    delta_e = np.array([[3.0, 3.0], [1.0, 1.0], [1.2, 1.2], [1.1, 1.1], [2.0, 2.0], [3.0, 3.0]])
+    delta_e = np.repeat(least, 2).reshape(6, 2)
     curve = replace(tiny_result.curves[0], statistics={"mean_delta_e": delta_e})
-    assert best_index(curve) == 1
-    names = [rank(curve, place) for place in (0, 1, 5)]
-    assert names == ["smallest", "least error tried", "largest"]
-    rising = replace(curve, statistics={"mean_delta_e": np.sort(delta_e, axis=0)})
-    assert rank(rising, 0) == "smallest, least error tried"
+    best = best_index(curve)
+    assert best == np.argmin(least)
+    assert [rank(curve, place) for place in sorted({0, best, 5})] == names
 
 
 def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
