@@ -39,7 +39,7 @@ QUICK_TESTS = {
     "sensor": "closed_forms noise pixel readout technology",
     "scene": "closed_forms plan rules scene",
     "viewer": "develop light_error metric_kernels noise_budget",
-    "studies": "film_error paper study uncertainty",
+    "studies": "closed_forms paper study uncertainty",
     "measure": "estimators sfr",
     "verification": "accuracy extreme_cases",
     "show": "figures render",
