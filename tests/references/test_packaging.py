@@ -33,13 +33,13 @@ MAX_S = 6 * HANG_S  # packages are downloaded, and a third of the tests run
 TEXT_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "METADATA", "py.typed")
 # About a third of the quick tests of every room, which need no other tools than pytest.
 QUICK_TESTS = {
-    "base": "arrays cache config parameters",
+    "base": "arrays cache config",
     "light": "exr tables",
     "optics": "closed_forms lens stack",
     "sensor": "closed_forms noise pixel readout technology",
     "scene": "closed_forms plan rules scene",
     "viewer": "develop light_error metric_kernels noise_budget",
-    "studies": "closed_forms paper study uncertainty",
+    "studies": "closed_forms paper study",
     "measure": "estimators sfr",
     "verification": "accuracy extreme_cases",
     "show": "figures render",
