@@ -1,8 +1,11 @@
-"""Files of spectral images: they come back bit for bit, and other programs read them."""
+"""Files of spectral images: they come back bit for bit, other programs read them, and what is none
+is refused.
+"""
 
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -35,12 +38,12 @@ def bits(values: np.ndarray) -> np.ndarray:
 
 def general(shape: tuple[int, int] = (5, 7), **options: object) -> SpectralImage:
     data = any_float32((*shape, BANDS_NM.size))
-    header = {"seed": 7, "µ": [1.5, None]}
-    return SpectralImage(BANDS_NM, 10.0, 2.65, data=data, header=header, **options)
+    options["header"] = {"seed": 7, "µ": [1.5, None]}
+    return SpectralImage(BANDS_NM, 10.0, 2.65, data=data, **options)
 
 
 def factored(shape: tuple[int, int] = (5, 7), **options: object) -> SpectralImage:
-    spectra = np.random.default_rng(1).uniform(0, 1, (2, BANDS_NM.size)) * 1e-3
+    spectra = np.random.default_rng(1).uniform(0, 1e-3, (2, BANDS_NM.size))
     factors = spectra, any_float32((2, *shape)) * np.float32(1e-6)
     return SpectralImage(BANDS_NM, 10.0, 1 / 3, factors=factors, **options)
 
@@ -61,16 +64,18 @@ def fine_bands(seed: int = 0) -> SpectralImage:
     return SpectralImage(nm, width_nm, 2.65, factors=factors, within=(nodes_nm, shares))
 
 
-WITHIN = BANDS_NM[:, None] + np.linspace(-4, 4, 3), np.full((46, 3), 1 / 3)
-STRIDED = any_float32((12, 14, 92))[::-2, ::2, 1::2]
 IMAGES = {
     "bands": general,
     "factors": factored,
-    "light within bands": lambda: general(within=WITHIN),
+    "light within bands": lambda: general(
+        within=(BANDS_NM[:, None] + np.linspace(-4, 4, 3), np.full((46, 3), 1 / 3))
+    ),
     "a margin": lambda: factored((9, 8), margin=2),
     "fine bands": fine_bands,
     "other fine bands": lambda: fine_bands(1),
-    "strides": lambda: SpectralImage(BANDS_NM, 10.0, 1.0, data=STRIDED),
+    "strides": lambda: SpectralImage(
+        BANDS_NM, 10.0, 1.0, data=any_float32((12, 14, 92))[::-2, ::2, 1::2]
+    ),
     "reduced": lambda: reduced_to_fit(factored((4, 2048))),
     "two lines": lambda: SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2))),
 }
@@ -190,8 +195,7 @@ FOREIGN = {
 
 @pytest.mark.parametrize("name", FOREIGN)
 def test_foreign_and_damaged_headers_are_refused(name: str, tmp_path: Path) -> None:
-    plane = {"S0.550,000000nm": np.ones((2, 2))}
-    write_channels(tmp_path / "image.exr", plane, FOREIGN[name])
+    write_channels(tmp_path / "image.exr", {"S0.550,000000nm": np.ones((2, 2))}, FOREIGN[name])
     with pytest.raises(PixsimError, match=r"irradiance file: got '.*image\.exr'"):
         pixsim.read_exr(tmp_path / "image.exr")
 
@@ -210,3 +214,34 @@ def test_interrupted_write_leaves_old_file(tmp_path: Path, monkeypatch) -> None:
         pixsim.write_exr(path, general())
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+EXR = struct.pack("<II", 20000630, 2)
+FILES = [
+    ("no EXR", b"not an EXR", "does not start like"),
+    ("damaged", EXR + b"\xff" * 400, "damaged"),
+    ("cut", EXR + b"channels\0chlist\0", "damaged"),
+    ("deep", struct.pack("<II", 20000630, 2 | 0x800) + b"\0", "deep"),
+    ("several parts", struct.pack("<II", 20000630, 2 | 0x1000) + b"\0", "parts"),
+    ("no channels", EXR + b"\0", "without channels"),
+    ("absent", None, "does not exist"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "words"), FILES)
+def test_files_that_are_no_light(name: str, content, words: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "image.exr").write_bytes(content)
+    with pytest.raises(PixsimError, match=f"EXR file: got .*{words}"):
+        pixsim.read_exr(tmp_path / "image.exr")
+
+
+@pytest.mark.parametrize("place", ["no/such/folder/image.exr", "a_file/image.exr", "a_folder"])
+def test_paths_that_cannot_be_written_leave_files(place: str, tmp_path: Path) -> None:
+    (tmp_path / "a_file").write_text("unchanged")
+    (tmp_path / "a_folder").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(PixsimError, match="output file: got"):
+        pixsim.write_exr(tmp_path / place, factored())
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "a_file").read_text() == "unchanged"

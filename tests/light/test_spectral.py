@@ -1,4 +1,6 @@
-"""Spectral images: linear, the same in factors and bands, in parts and as a whole."""
+"""Spectra and spectral images: closed forms, CIE tables and colour-science; linear, the same in
+factors and bands, in parts and as a whole.
+"""
 
 from __future__ import annotations
 
@@ -7,39 +9,273 @@ import pickle
 import subprocess
 import sys
 import tracemalloc
+from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 
+import colour
 import numpy as np
 import pytest
-from helpers.claims import check
+import scipy.constants as si
+from helpers.claims import Claim, check
 from hypothesis import given, settings, strategies as st
 
+from pixsim.base.errors import PixsimError
 from pixsim.light import exr, spectral
-from pixsim.light.exr import reduced_to_fit
-from pixsim.light.spectral import OUTLIERS, SpectralImage, find_outliers, without_outliers
-from pixsim.light.standard import patch_reflectance
+from pixsim.light.exr import _merged, reduced_to_fit, shortest
+from pixsim.light.spectral import (
+    OUTLIERS,
+    SpectralImage,
+    Spectrum,
+    colour_matching,
+    d65,
+    find_outliers,
+    photopic_efficiency,
+    without_outliers,
+)
+from pixsim.light.standard import (
+    OPPONENT_FROM_XYZ,
+    XYZ_FROM_OPPONENT,
+    illuminant,
+    illuminant_names,
+    patch_reflectance,
+)
 from pixsim.light.stored import PictureFile, StoredImage
+from pixsim.light.tables import Column, column_quantum_efficiency
+
+NM = np.arange(360.0, 831.0)
+OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+TENTHS = np.linspace(400.0, 401.0, 11)
+
+
+def spectrum(nodes: list[float], values: list[float]) -> Spectrum:
+    return Spectrum(np.array(nodes, float), np.array(values, float))
+
+
+TRIANGLE = spectrum([400, 410, 430], [0, 2, 0])
+
+
+def one_band(nm: float, width_nm: float, value: float, within_nm: float | None = None):
+    """Return an image of one sample and one band, with its light at a single wavelength."""
+    within = None if within_nm is None else ([[within_nm]], [[1.0]])
+    return SpectralImage([nm], width_nm, 1.0, data=np.full((1, 1, 1), value), within=within)
+
+
+def two_bands() -> SpectralImage:
+    """Return bands with lines at 546 and 553 nm (1:3), and 596, 600 and 604 nm (1:2:1)."""
+    nodes_nm = [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]]
+    shares = [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
+    within = nodes_nm, shares
+    return SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)), within=within)
+
+
+def lamp_lx(name: str) -> tuple[float, float]:
+    """Return the illuminance of a CIE lamp by ten-nanometre bands, and by colour-science."""
+    shape = colour.SpectralShape(365, 825, 1)
+    lamp = colour.SDS_ILLUMINANTS[name].copy().align(shape, interpolator=colour.LinearInterpolator)
+    means = (lamp.values[:-1] + lamp.values[1:]) / 2
+    bands = means.reshape(1, 1, 46, 10).mean(axis=3)
+    image = SpectralImage(np.arange(370.0, 821.0, 10.0), 10.0, 1.0, data=bands)
+    return image.illuminance_lx()[0, 0], colour.colorimetry.luminous_flux(lamp)
+
+
+def merged_bands() -> SpectralImage:
+    width_nm = np.array([5, 5, 2.5, 2.5, 1.25, 1.25, 2.5, 10, 15, 5, 5])
+    factors = np.arange(11.0), np.ones((1, 1, 1))
+    return _merged(
+        SpectralImage(np.cumsum(width_nm) - width_nm / 2, width_nm, 1.0, factors=factors)
+    )
+
+
+CLAIMS = [
+    Claim(
+        "photons a joule by the SI",
+        lambda: spectral.photons_per_joule([400.0, 800.0]),
+        np.array([400e-9, 800e-9]) / (si.h * si.c),
+        rtol=1e-14,
+    ),
+    Claim(
+        "photons a lumen at 555 nm",
+        lambda: spectral.photons_per_joule(555.0) / 683,
+        4.09e15,
+        rtol=1e-3,
+        why="the handbook's three digits",
+    ),
+    Claim(
+        "683 lm/W at 555 nm by the SI",
+        lambda: one_band(555.0, 1.0, 2.0).illuminance_lx(),
+        [[2 * 683.0]],
+        rtol=1e-5,
+        why="the SI defines it for 555.016 nm in air",
+    ),
+    Claim(
+        "light off the centre of its band",
+        lambda: one_band(530.0, 10.0, 0.2, 532.0).illuminance_lx(),
+        [[2 * 683.002 * 0.8849624]],
+        rtol=1e-6,
+        why="digits of CIE's table",
+    ),
+    Claim(
+        "light at the centre of its band",
+        lambda: one_band(530.0, 10.0, 0.2).illuminance_lx(),
+        [[2 * 683.002 * 0.862]],
+        rtol=1e-6,
+        why="digits of CIE's table",
+    ),
+    Claim(
+        "weights of bands",
+        lambda: spectral.luminous_weight([550.0, 600.0], [10.0, 5.0]),
+        683.002 * photopic_efficiency([550.0, 600.0]) * [10.0, 5.0],
+        rtol=1e-14,
+    ),
+    Claim(
+        "mean of a line over the light in a band",
+        lambda: two_bands().band_mean(lambda nm: nm),
+        [551.25, 600.0],
+        rtol=1e-15,
+    ),
+    Claim(
+        "mean of a square over the light in a band",
+        lambda: two_bands().band_mean(lambda nm: nm**2) - [551.25**2, 600**2],
+        [49 * 3 / 16, 8],
+        rtol=1e-9,
+    ),
+    *(
+        Claim(f"illuminance of {name}", lambda got=got: got, wanted, rtol=1e-4, why="10 nm bands")
+        for name in ("E", "D65", "A")
+        for got, wanted in [lamp_lx(name)]
+    ),
+    Claim(
+        "observer of colour-science",
+        lambda: colour_matching(OBSERVER.wavelengths),
+        OBSERVER.values,
+        rtol=1e-9,
+        atol=1e-20,
+        why="ten digits",
+    ),
+    Claim(
+        "efficiency is the observer's y", lambda: photopic_efficiency(NM), colour_matching(NM)[:, 1]
+    ),
+    Claim("no light beyond the tables", lambda: colour_matching([359.0, 831.0]), np.zeros((2, 3))),
+    Claim(
+        "opponents of X = Y = Z by the published matrix",
+        lambda: OPPONENT_FROM_XYZ @ np.ones(3),
+        [0.8939847, -0.0818111, -0.0029257],
+        atol=1e-9,
+    ),
+    Claim("D65 is 100 at 560 nm", lambda: d65([359.0, 560.0, 831.0]), [0, 100, 0]),
+    Claim("illuminant D65 is d65", lambda: illuminant("D65", NM), d65(NM)),
+    *(
+        Claim(
+            f"{name} of colour-science",
+            lambda name=name, table=table: illuminant(name, table.wavelengths[table.domain >= 360]),
+            table.values[table.domain >= 360],
+            rtol=1e-5,
+            why="six digits",
+        )
+        for name in illuminant_names()
+        for table in [colour.SDS_ILLUMINANTS[name]]
+    ),
+    Claim("no A beyond 360-780 nm", lambda: illuminant("A", [355.0, 835.0]), [0, 0]),
+    Claim("opponents back", lambda: XYZ_FROM_OPPONENT @ OPPONENT_FROM_XYZ, np.eye(3), atol=1e-14),
+    Claim("area of a triangle", TRIANGLE.integral, 30.0, rtol=1e-14),
+    Claim("area of half a triangle", lambda: TRIANGLE.integral(410, 430), 20.0, rtol=1e-14),
+    Claim(
+        "area beside a jump",
+        lambda: spectrum([500, 500, 510], [0, 3, 3]).integral(490.0, 505.0),
+        15.0,
+        rtol=1e-14,
+    ),
+    Claim(
+        "means over cells of a triangle",
+        lambda: TRIANGLE.cell_means(np.array([395.0, 405.0, 410.0, 420.0, 440.0])),
+        [0.25, 1.5, 1.5, 0.25],
+        rtol=1e-13,
+    ),
+    Claim("a spectrum between nodes", lambda: TRIANGLE.at(np.array([390, 405, 420])), [0, 1, 1]),
+    Claim("a spectrum twice", lambda: (TRIANGLE * 2.0).integral(), 60.0, rtol=1e-14),
+    *(
+        Claim(
+            f"trapezoids on a grid of {step_nm:g} nm",
+            lambda step_nm=step_nm: np.trapezoid(TRIANGLE.on_grid(step_nm), dx=step_nm),
+            30.0,
+            rtol=1e-12,
+        )
+        for step_nm in spectral.STEPS_NM
+    ),
+    *(
+        Claim(f"step for nodes {spacing_nm:g} nm apart", lambda nodes=nodes: nodes.step_nm, step_nm)
+        for spacing_nm, step_nm in ((1.0, 1.0), (0.2, 1 / 8), (0.1, 1 / 32))
+        for nodes in [Spectrum(400.0 + spacing_nm * np.arange(3), np.ones(3))]
+    ),
+    Claim(
+        "nodes of unequal steps in equal ones",
+        lambda: spectral.regular_values(TRIANGLE),
+        [0, 2, 1, 0],
+        rtol=1e-14,
+    ),
+    Claim(
+        "equal steps of 0.1 nm",
+        lambda: spectral.regular_values(Spectrum(TENTHS, TENTHS - 400)),
+        TENTHS - 400,
+        atol=1e-12,
+    ),
+    Claim(
+        "no equal steps below 0.1 nm",
+        lambda: spectral.regular_values(spectrum([400, 400.05, 401], [1, 1, 1])) is None,
+        1.0,
+    ),
+    Claim("a table at whole nanometres", lambda: spectral.tabulated(NM).integral(400, 402), 802.0),
+    Claim("widths of merged bands", lambda: merged_bands().band_width_nm, [10, 10, 10, 15, 10]),
+    Claim(
+        "centres of merged bands",
+        lambda: merged_bands().wavelength_nm,
+        [5, 15, 25, 37.5, 50],
+        rtol=1e-14,
+    ),
+    Claim(
+        "means of merged bands",
+        lambda: merged_bands().factors[0][0],
+        [0.5, (2 * 2.5 + 3 * 2.5 + 4 * 1.25 + 5 * 1.25 + 6 * 2.5) / 10, 7, 8, 9.5],
+        rtol=1e-14,
+    ),
+    Claim(
+        "responsivity to quantum efficiency, R h c/(q λ)",
+        lambda: column_quantum_efficiency(
+            Column("R", "A/W", (Decimal("0.1"), Decimal("0.2"))), (Decimal(400), Decimal(500))
+        ),
+        np.array([0.1, 0.2]) * si.h * si.c / (si.e * np.array([400e-9, 500e-9])),
+        rtol=1e-12,
+    ),
+    Claim("shortest digits of a float32", lambda: shortest(float(np.float32(5.3))), 5.3),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
+
+
+# Images
 
 SPECTRA = Path(__file__).parents[2] / "scenes" / "spectra" / "macbeth"
-NM = np.linspace(420.0, 680.0, 4)
-seeds = given(st.integers(0, 10**6))
-few = settings(max_examples=20, deadline=None, derandomize=True, database=None)
+FOUR_NM = np.linspace(420.0, 680.0, 4)
 
 
 def factored(seed: int, shape: tuple[int, int] = (6, 9), margin: int = 0) -> SpectralImage:
     rng = np.random.default_rng(seed)
-    factors = rng.uniform(0, 1, (3, NM.size)), rng.uniform(0, 1, (3, *shape))
-    return SpectralImage(NM, 10.0, 2.0, factors=factors, header={"seed": seed}, margin=margin)
+    factors = rng.uniform(0, 1, (3, FOUR_NM.size)), rng.uniform(0, 1, (3, *shape))
+    return SpectralImage(FOUR_NM, 10.0, 2.0, factors=factors, header={"seed": seed}, margin=margin)
 
 
-@few
-@seeds
+@settings(max_examples=20, deadline=None, derandomize=True, database=None)
+@given(st.integers(0, 10**6))
 def test_light_is_linear_and_the_same_in_factors_bands_and_parts(seed: int) -> None:
     image = factored(seed, (8, 10), margin=2)
     data = np.einsum("rb,ryx->yxb", image.factors[0], image.whole.factors[1])
-    bands = SpectralImage(NM, 10.0, 2.0, data=data, margin=2)
+    bands = SpectralImage(FOUR_NM, 10.0, 2.0, data=data, margin=2)
     inner = data[2:-2, 2:-2]
-    weight = np.random.default_rng(seed).uniform(-1, 1, NM.size)
+    weight = np.random.default_rng(seed).uniform(-1, 1, FOUR_NM.size)
     for name, got, wanted in (
         ("factors", image.data, inner),
         ("with margin", bands.whole.data, data),
@@ -65,7 +301,7 @@ def test_digest_distinguishes_light() -> None:
         image.digest(),
         factored(2, (8, 8), margin=1).digest(),
         factored(1, (8, 8)).digest(),
-        SpectralImage(NM, 10.0, 2.0, data=image.data, header=image.header).digest(),
+        SpectralImage(FOUR_NM, 10.0, 2.0, data=image.data, header=image.header).digest(),
         image.with_planes(np.array(image.planes), header={"seed": 3}).digest(),
     ]
     assert len(set(digests)) == 5
@@ -152,46 +388,44 @@ def test_outliers_stand_alone_and_become_medians(samples, outliers) -> None:
 
 @pytest.mark.parametrize("places", [[[3]], [["a", 1]], [[9, 0]], "text", [[0, -1]]])
 def test_outliers_of_a_foreign_header_change_nothing(places) -> None:
-    header = {OUTLIERS: places}
-    image = SpectralImage([550.0], 10.0, 1.0, data=np.ones((2, 2, 1)), header=header)
+    image = SpectralImage([550.0], 10.0, 1.0, data=np.ones((2, 2, 1)), header={OUTLIERS: places})
     assert without_outliers(image) is None
 
 
 @pytest.mark.skipif(not SPECTRA.is_dir(), reason="the tests are installed without the scenes")
 def test_patches_are_those_of_the_scene() -> None:
     """The scene `macbeth` renders the patches that matrices are fitted to."""
-    nm = np.arange(360.0, 831.0)
     files = [np.loadtxt(path).T for path in sorted(SPECTRA.glob("*.spd"))]
-    wanted = np.array([np.interp(nm, *file) for file in files])
-    check("patches", patch_reflectance(nm), wanted, atol=1e-12, why="rounding")
+    wanted = np.array([np.interp(NM, *file) for file in files])
+    check("patches", patch_reflectance(NM), wanted, atol=1e-12, why="rounding")
 
 
 LAMP = {spectral.LAMP: [1.0, 2.0, 3.0, 4.0]}
-PLATE = {spectral.DIFFUSER: {spectral.DIFFUSER_W: [4.0, 3.0, 2.0, 1.0]}}
 
 
 @pytest.mark.parametrize(
-    ("header", "white"), [({}, NM), (LAMP, [1, 2, 3, 4]), (LAMP | PLATE, [4, 3, 2, 1])]
+    ("header", "white"),
+    [
+        ({}, FOUR_NM),
+        (LAMP, [1, 2, 3, 4]),
+        (LAMP | {spectral.DIFFUSER: {spectral.DIFFUSER_W: [4.0, 3.0, 2.0, 1.0]}}, [4, 3, 2, 1]),
+    ],
 )
 def test_white_is_the_plate_then_the_lamps_then_the_shared_spectrum(header, white) -> None:
-    image = SpectralImage(NM, 10.0, 2.0, factors=(NM, np.ones((1, 2, 2))), header=header)
+    image = SpectralImage(FOUR_NM, 10.0, 2.0, factors=(FOUR_NM, np.ones((1, 2, 2))), header=header)
     check("white", image.white_spectrum, np.array(white), why="the same numbers")
 
 
 # Pictures in a file
 
 
-def in_bands() -> SpectralImage:
-    return SpectralImage(NM, 10.0, 2.0, data=factored(3).data, header={"seed": 3}, margin=1)
-
-
-@pytest.mark.parametrize(
-    "make", [lambda: factored(3, margin=1), in_bands], ids=["factors", "bands"]
-)
-def test_stored_image_is_the_same(make, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_factored", [True, False])
+def test_stored_image_is_the_same(is_factored: bool, tmp_path: Path) -> None:
+    image = factored(3, margin=1)
+    if not is_factored:
+        image = SpectralImage(FOUR_NM, 10.0, 2.0, data=image.whole.data, margin=1)
     file = PictureFile(tmp_path)
     file.stored(factored(4))
-    image = make()
     stored_image = file.stored(image)
     for copied in (
         stored_image,
@@ -200,7 +434,7 @@ def test_stored_image_is_the_same(make, tmp_path: Path) -> None:
         stored_image.with_planes(stored_image.whole.planes, margin=1),
     ):
         assert copied.digest() == image.digest()
-        assert np.array_equal(copied.weighted(NM), image.weighted(NM))
+        assert np.array_equal(copied.weighted(FOUR_NM), image.weighted(FOUR_NM))
     assert not isinstance(copy.copy(stored_image), StoredImage), "a copy may outlive the process"
     assert list(tmp_path.iterdir()) == [], "the file has no name"
 
@@ -208,20 +442,20 @@ def test_stored_image_is_the_same(make, tmp_path: Path) -> None:
 def test_picture_file_holds_equal_pictures_once_and_memory_none_of_them(tmp_path: Path) -> None:
     """Twelve planes of 1 MiB; a sum over them holds its result of 2 MiB and a strip."""
     values = np.random.default_rng(1).random((12, 512, 512), np.float32)
-    spectra = np.random.default_rng(2).random((12, NM.size))
+    spectra = np.random.default_rng(2).random((12, FOUR_NM.size))
     file = PictureFile(tmp_path)
     images = [
-        file.stored(SpectralImage(NM, 10.0, 2.0, factors=(factor * spectra, values)))
+        file.stored(SpectralImage(FOUR_NM, 10.0, 2.0, factors=(factor * spectra, values)))
         for factor in (1, 2)
     ]
     assert file._file.seek(0, 2) == values.nbytes
     del values
     tracemalloc.start()
-    total = images[1].weighted(NM)
+    total = images[1].weighted(FOUR_NM)
     peak_mib = tracemalloc.get_traced_memory()[1] / (1 << 20)
     tracemalloc.stop()
     assert 2 < peak_mib < 6
-    check("twice the light", total, 2 * images[0].weighted(NM), rtol=1e-14, why="rounding")
+    check("twice the light", total, 2 * images[0].weighted(FOUR_NM), rtol=1e-14, why="rounding")
 
 
 def test_picture_file_on_a_full_disk_is_refused(tmp_path: Path) -> None:
@@ -238,3 +472,46 @@ def test_picture_file_on_a_full_disk_is_refused(tmp_path: Path) -> None:
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "cannot be written (File too large)" in ended.stdout
     assert ended.stderr == ""
+
+
+# What does not fit
+
+DATA = np.ones((2, 2, 1))
+PLANES = np.ones((1, 2, 2))
+
+
+def image(**options: object) -> SpectralImage:
+    return SpectralImage([550.0], 10.0, 1.0, **({"data": DATA} | options))
+
+
+REFUSALS = [
+    ("neither", lambda: image(data=None), "either data or factors"),
+    ("both", lambda: image(factors=(np.ones(1), PLANES)), "not both"),
+    ("two axes", lambda: image(data=np.ones((2, 2))), "data: got"),
+    ("bands first", lambda: image(data=np.ones((1, 4, 4))), "moveaxis"),
+    ("factors", lambda: image(data=None, factors=(np.ones((2, 1)), PLANES)), "factors: got"),
+    ("nodes", lambda: image(within=([[550.0]], [[0.5, 0.5]])), "within: got"),
+    ("rows of nodes", lambda: image(within=(np.ones((2, 1)), np.ones((2, 1)))), "within: got"),
+    ("widths", lambda: SpectralImage([550.0], [1.0, 2.0], 1.0, data=DATA), "band_width_nm: got"),
+    ("no bands", lambda: SpectralImage([], 10.0, 1.0, data=DATA), "wavelength_nm: got"),
+    ("margin", lambda: image(margin=1), "margin: got 1"),
+    ("planes", lambda: image().with_planes(np.ones((2, 2, 2), np.float32)), "planes: got"),
+    ("a second band", lambda: image().band(1), "index: got 1"),
+    ("weights", lambda: image().weighted(np.ones(2)), "weight: got"),
+    ("no columns", lambda: image().box_reduced(0), "columns: got 0"),
+    ("finer columns", lambda: image().box_reduced(3), "columns: got 3"),
+    ("negative", lambda: image(data=-DATA).validate(), "irradiance: got .* 0 or more"),
+    ("infinite", lambda: image(data=np.inf * DATA).validate(), "irradiance: got .* finite"),
+    ("one node", lambda: spectrum([500], [1]), "two nodes or more"),
+    ("falling nodes", lambda: spectrum([500, 400], [1, 0]), "increasing order"),
+    ("values", lambda: spectrum([400, 500], [1, 2, 3]), "two nodes or more"),
+    ("no number", lambda: spectrum([400, 500], [1, np.nan]), "NaN or infinity"),
+    ("beyond float32", lambda: spectrum([400, 500], [1, 1e31]), "values up to"),
+    ("illuminant", lambda: illuminant("LED-B4", [550.0]), "illuminant: .*'LED-B3'"),
+]
+
+
+@pytest.mark.parametrize(("name", "call", "words"), REFUSALS)
+def test_arguments_that_do_not_fit_each_other(name: str, call: Callable[[], object], words) -> None:
+    with pytest.raises(PixsimError, match=words):
+        call()

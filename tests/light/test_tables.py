@@ -13,13 +13,11 @@ from helpers.claims import check
 
 from pixsim.light.curves import read_curve
 from pixsim.light.tables import read_table, unit_hint
-from pixsim.optics.camera import Camera
 from pixsim.scene.guard.assets import spectrum_value
 from pixsim.sensor.pixel_options import Pixel
 
 CASES = Path(__file__).parents[1] / "data/cases"
 QE = ((400.0, 0.3), (500.0, 0.4), (600.0, 0.25))
-PAIRS = "400:0.3, 500:0.4, 600:0.25"
 PLAIN = "nm,QE\n400,0.3\n500,0.4\n600,0.25\n"
 # Each holds QE; a string is written in UTF-8.
 FORMS: dict[str, str | bytes] = {
@@ -109,18 +107,6 @@ def test_units_of_channels(title: str, name: str, expected: list[float], tmp_pat
     more = {"peak_quantum_efficiency": 0.6} if name == "sensitivities" else {}
     curves: Any = getattr(Pixel(colour={name: path} | more).colour, name)
     assert [curve[0] for curve in curves.values()] == [(400.0, value) for value in expected]
-
-
-def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
-    rows = ((0.0, 0.0), (1.0, 12.0), (2.0, 21.5))
-    for text in (
-        "image_height_mm deg\n0 0\n1 12\n2 21,5\n",
-        "deg;image_height_mm\n21,5;2\n12;1\n0;0\n".encode("utf-16"),
-    ):
-        assert Camera(chief_ray_angle=written(tmp_path, text)).chief_ray_angle == rows
-    titles = "Image height (mm);CRA (°);Relative illumination (%)\n0;0;100\n1;12;90\n2;21,5;70\n"
-    lit = Camera(chief_ray_angle=written(tmp_path, titles)).chief_ray_angle
-    assert lit == tuple((*row, share) for row, share in zip(rows, (1.0, 0.9, 0.7), strict=True))
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.claims import check
+from helpers.claims import Claim, check
 from helpers.lenses import triplet
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.measure.lens import (
     MAX_FINE_WAVES,
     cross_section,
@@ -25,16 +26,39 @@ from pixsim.optics.prescription import Prescription, Surface
 
 DATA = Path(__file__).parents[1] / "data"
 RELAY = DATA / "cases/4-10-lens-distortion-on-axis/relay_1_5.zmx"
+LINE_UM = (np.arange(200) - 100) * 0.5
+FREQUENCY = np.linspace(0, 60, 7)
+SPOT = np.array(spot_points())
+CLAIMS = [
+    Claim(
+        "a Gaussian line of σ has the MTF exp(-2π²σ²f²)",
+        lambda: line_mtf(np.exp(-(LINE_UM**2) / (2 * 4.0**2)), 0.5, FREQUENCY),
+        np.exp(-2 * (np.pi * 4e-3 * FREQUENCY) ** 2),
+        atol=1e-9,
+        why="tails",
+    ),
+    Claim("spots have their middle on the axis", lambda: SPOT.mean(axis=1), [0, 0], atol=0.03, why="6 rings"),
+    Claim(
+        "spots fill the stop uniformly: the mean of r² over a disc is 1/2",
+        lambda: (SPOT**2).sum(axis=0).mean(),
+        0.5,
+        atol=0.03,
+        why="6 rings",
+    ),
+    Claim("points of a spot beyond the stop", lambda: (np.hypot(*SPOT) >= 1).sum(), 0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
 
 
 def test_mtf_of_a_lens_without_aberrations_is_that_of_diffraction() -> None:
     """The singlet at f/40: .006 waves are left, and its plane is in focus."""
-    lens = pixsim.load_lens("singlet").stopped_down(40.0).refocused("paraxial")
-    data = lens_data(lens, [587.56])
-    wanted = diffraction_otf(data.frequency_lp_per_mm, 587.56, 40.0)
-    check(
-        "MTF", data.mtf[0], np.broadcast_to(wanted, data.mtf[0].shape), atol=2e-3, why=".006 waves"
-    )
+    data = lens_data(pixsim.load_lens("singlet").stopped_down(40.0).refocused("paraxial"), [587.56])
+    wanted = [diffraction_otf(data.frequency_lp_per_mm, 587.56, 40.0)] * 2
+    check("MTF", data.mtf[0], wanted, atol=2e-3, why=".006 waves")
     assert data.spots[0].rms_um < 0.1
     assert data.rms_waves[0] < 0.01
 
@@ -46,26 +70,19 @@ def test_mtf_at_low_frequencies_is_that_of_the_spot() -> None:
     data = triplet()
     spot = data.spots[6]
     assert spot.rms_um > 5 * 1.22 * 0.55 * 5 / 2
-    offsets_um = np.array([spot.y_um[0], spot.x_um[0]])
-    wanted = abs(np.exp(2j * np.pi * 10e-3 * offsets_um).mean(axis=1))
+    phases = np.exp(2j * np.pi * 10e-3 * np.array([spot.y_um[0], spot.x_um[0]]))
+    wanted = abs(phases.mean(axis=1))
     check("MTF", data.mtf_at(10.0)[6], wanted, atol=0.03, why="diffraction")
     assert wanted[0] < wanted[1] - 0.05
 
 
-def test_large_aberrations_take_the_mtf_of_rays() -> None:
-    """The triplet ten times as large; one lens by both ways agrees at low frequencies."""
-    large = lens_data(pixsim.load_lens("cooke_triplet").scaled(10.0), [550.0])
-    small = triplet()
-    assert large.geometric
-    assert not small.geometric
-    nm = np.array([550.0])
-    _, rays = ray_spreads(small.lens, small.field_deg, nm, 1.0, np.array([0.0, 5.0]))
-    lines = [psf.sum(axis=axis) for psf in small.psfs for axis in (1, 0)]
-    waves = [line_mtf(line, small.psf_pitch_um, np.array([5.0]))[0] for line in lines]
+def test_rays_and_waves_have_one_mtf_at_low_frequencies() -> None:
+    data = triplet()
+    _, rays = ray_spreads(data.lens, data.field_deg, np.array([550.0]), 1.0, np.array([0.0, 5.0]))
+    lines = [psf.sum(axis=axis) for psf in data.psfs for axis in (1, 0)]
+    waves = [line_mtf(line, data.psf_pitch_um, np.array([5.0]))[0] for line in lines]
     check("MTF", rays[:, :, 1], np.reshape(waves, (-1, 2)), atol=0.01, why="diffraction")
     assert (rays < 0.95).any()
-    totals = [psf.sum() for psf in large.psfs]
-    check("light", totals, np.ones(len(totals)), atol=0.05, why="rays beyond the square")
 
 
 def test_mtf_beyond_the_limit_of_diffraction_is_nothing() -> None:
@@ -76,33 +93,24 @@ def test_mtf_beyond_the_limit_of_diffraction_is_nothing() -> None:
     check("below", data.mtf_at(30.0), triplet().mtf_at(30.0), atol=2e-3, why="finer samples")
 
 
-def test_nearly_afocal_lens_is_measured_by_its_rays() -> None:
-    """At f/967: waves would interfere on a grid of thousands of samples a side."""
-    surfaces = Surface(2e-4, 5.0, constant_glass("n", 1.5168)), Surface(0.0, 90.0)
-    kinds = "entrance_pupil_diameter", 10.0, "angle_deg", 5.0
-    data = lens_data(
-        lens_from_prescription(Prescription("weak", "", "", surfaces, 0, *kinds, (550.0,), 550.0))
-    )
+# At f/967 waves would interfere on a grid of thousands of samples a side.
+WEAK = Prescription(
+    "weak", "", "", (Surface(2e-4, 5.0, constant_glass("n", 1.5168)), Surface(0.0, 90.0)), 0,
+    "entrance_pupil_diameter", 10.0, "angle_deg", 5.0, (550.0,), 550.0,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["ten times the triplet", "nearly afocal"])
+def test_lenses_of_many_waves_are_measured_by_their_rays(name: str) -> None:
+    lens = lens_from_prescription(WEAK)
+    if name == "ten times the triplet":
+        lens = triplet().lens.scaled(10.0)
+    data = lens_data(lens, [550.0])
     assert data.geometric
+    assert not triplet().geometric
     totals = [psf.sum() for psf in data.psfs]
     check("light", totals, np.ones(len(totals)), atol=0.05, why="rays beyond the square")
     assert max(map(len, data.psfs)) <= MAX_FINE_WAVES
-
-
-def test_mtf_of_a_line_is_its_transform() -> None:
-    """A Gaussian line of σ has the MTF exp(-2π²σ²f²)."""
-    at_um = (np.arange(200) - 100) * 0.5
-    frequency = np.linspace(0, 60, 7)
-    mtf = line_mtf(np.exp(-(at_um**2) / (2 * 4.0**2)), 0.5, frequency)
-    wanted = np.exp(-2 * (np.pi * 4e-3 * frequency) ** 2)
-    check("MTF", mtf, wanted, atol=1e-9, why="tails")
-
-
-def test_spot_points_fill_the_stop_uniformly() -> None:
-    """The mean of r² over a disc is 1/2."""
-    x, y = spot_points()
-    check("mean", [x.mean(), y.mean(), np.mean(x**2 + y**2)], [0, 0, 0.5], atol=0.03, why="6 rings")
-    assert np.hypot(x, y).max() < 1
 
 
 def test_numbers_are_those_of_the_lens() -> None:
@@ -110,10 +118,10 @@ def test_numbers_are_those_of_the_lens() -> None:
     content = triplet().as_dict()
     for row in content["fields"]:
         chief = lens.chief_ray(row["field_deg"], 550.0)
-        illumination = float(lens.relative_illumination(row["field_deg"]))
-        check("height", row["height_mm"], float(chief.height_mm), rtol=1e-12, why="the same ray")
-        check("angle", row["chief_ray_angle_deg"], float(chief.angle_deg), atol=1e-9, why="ray")
-        check("light", row["relative_illumination"], illumination, rtol=1e-9, why="quadrature")
+        numbers = row["height_mm"], row["chief_ray_angle_deg"], row["relative_illumination"]
+        light = lens.relative_illumination(row["field_deg"])
+        wanted = float(chief.height_mm), float(chief.angle_deg), float(light)
+        check("numbers", numbers, wanted, rtol=1e-9, atol=1e-12, why="quadrature")
         assert [mtf["lp_per_mm"] for mtf in row["mtf"]] == [10.0, 30.0, 60.0, 125.0]
     # README of the reference values.
     rms = content["fields"][0]["rms_wavefront_waves"]
@@ -171,3 +179,17 @@ def test_limit_of_diffraction_of_a_near_object_is_that_of_its_cone_of_light() ->
     check("f-number", lens.working_f_number, cone, rtol=0.02, why="1.4 %")
     check("MTF", data.diffraction_mtf, wanted, atol=0.02, why="1.4 %")
     check("Airy disc", data.airy_um, 1.22e-3 * nm * cone, rtol=0.02, why="1.4 %")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"focal_length_mm": 1e7}, "focal_length_mm: got"),
+        ({"wavelength_nm": [550.0] * 25}, "25 wavelengths"),
+        ({"field_deg": 90.0}, "field_deg: got 90"),
+        ({"reflectance": 1.0}, "reflectance: got"),
+    ],
+)
+def test_settings_are_refused_by_their_cause(options: dict[str, object], words: str) -> None:
+    with pytest.raises(PixsimError, match=words):
+        pixsim.lens("singlet", **options)

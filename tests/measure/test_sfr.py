@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.claims import check
-from helpers.commands import command
+from helpers.commands import assert_refused, command
 from helpers.edges import (
     DARK,
     GAINS,
@@ -468,3 +468,80 @@ def test_python_and_the_command_write_same_files(tmp_path: Path) -> None:
     assert other.contrast > edge.contrast, "of a higher black level"
     assert other.as_dict()["nyquist_cy_per_mm"] == 200.0
     assert "mtf50_cy_per_mm" not in edge_response(gaussian_edge()).as_dict()
+
+
+# What is refused
+
+WAVES = np.sign(np.sin(np.arange(SIDE)[:, None] / 20))
+RGB = np.concatenate([gaussian_edge()] * 3)
+REFUSED: list[tuple[str, Callable[[], object], str]] = [
+    ("contrast", lambda: edge_response(100 + PIXEL_NOISE[:64, :64]), "contrast"),
+    ("noisy step", lambda: edge_response(DARK + 30 * (distances(5.0, 64, 64) > 0) + 40 * PIXEL_NOISE[:64, :64]), "step of"),
+    ("upright", lambda: edge_response(gaussian_edge(0.0)), "from the rows or columns"),
+    ("along rows", lambda: edge_response(gaussian_edge(90.4)), "columns, over"),
+    ("small", lambda: edge_response(gaussian_edge()[:20]), "at least 24 pixels per side"),
+    ("small mosaic", lambda: edge_response(gaussian_edge()[:40], layout="RG/GB", channel="G"), "for one channel of a mosaic"),
+    ("no green", lambda: edge_response(gaussian_edge(), channel="G"), "stands out as green"),
+    ("three channels", lambda: edge_response(np.zeros((64, 64, 3))), "one channel of numbers"),
+    ("denormal", lambda: edge_response(1e-310 * gaussian_edge()), "largest value of"),
+    ("huge", lambda: edge_response(1e300 * gaussian_edge()), "largest value of"),
+    ("NaN", lambda: edge_response(np.where(distances(5.0) > 150, np.nan, gaussian_edge())), "NaN or infinite"),
+    ("no polynomial", lambda: edge_response(DARK + 900.0 * (distances(5.0) > 4 * WAVES)), "of a polynomial of degree 5"),
+    ("few lines", lambda: edge_response(DARK + 900.0 * (distances(5.0) > 6 * WAVES)), "an edge in 189 of 320 lines"),
+    ("45°", lambda: edge_response(gaussian_edge(45.0)), "bins without a pixel"),
+    ("at the side", lambda: edge_response(gaussian_edge(5.0)[:, 155:215]), "on either side"),
+    ("saturated", lambda: edge_response(gaussian_edge(), saturation=999.0), "saturated"),
+    ("outside", lambda: edge_response(gaussian_edge(), region=(0, 0, 321, 100)), "within 0,0,320,320"),
+    ("three numbers", lambda: edge_response(gaussian_edge(), region=(0, 0, 100)), "region: got 0,0,100"),
+    ("planes", lambda: edge_response(RGB, layout="R+G+B"), "one channel"),
+    ("two thirds", lambda: edge_response(RGB[1:], layout="R+G+B", channel="G"), "layout: got"),
+    *(
+        (f"mosaic {layout}", lambda layout=layout: edge_response(mosaic(layout, gaussian_edge()) + 5 * PIXEL_NOISE), "looks like a colour mosaic")
+        for layout in ("RG/GB", "RRGG/RRGG/GGBB/GGBB", "GBGGRG/RGRBGB/GBGGRG/GRGGBG/BGBRGR/GRGGBG")
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "call", "words"), REFUSED)
+def test_edges_that_mislead_are_refused(name: str, call: Callable[[], object], words) -> None:
+    with pytest.raises(PixsimError, match=words):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("ex1.6.png", "exactly 4095 above black, while the other"),
+        ("ex1.6.png --saturation 4095", "49.9 % saturated"),
+        ("mild.tif", "looks like a colour mosaic"),
+        ("mild.tif --channel R", "--layout RG/GB"),
+        ("mild.tif --channel 2,0", "from 0,0 to 1,1"),
+        ("mild.tif --channel G --layout rggb", "capital letters"),
+        ("mosaic_tagged.tif", "--channel G"),
+        ("mosaic_tagged.tif --channel X", "R, G, B, luminance"),
+        ("rgb16.tif --channel 0,1", "R, G, B, luminance"),
+        ("rgb16.tif --layout RG/GB", "a mosaic"),
+        ("ex1.0.png --black 5000 --saturation 4095", "more than the black level"),
+        ("none.exr", "does not exist"),
+        ("edge.jpg", ".png"),
+        ("two.npz", "a single array"),
+        ("grey8.png", "linear in light"),
+        ("text.npy", "readable"),
+        ("text.png", "readable"),
+        ("rgb.exr", "one channel of digital numbers"),
+        ("edge.npy --region 1,2,3", "x0,y0,x1,y1"),
+        ("edge.npy --pitch-um -1", "above 0"),
+        ("edge.npy --black-level-dn 2000", "black level is right"),
+    ],
+)
+def test_pictures_of_edges(tmp_path: Path, line: str, words: str) -> None:
+    edge = gaussian_edge()
+    np.save(tmp_path / "edge.npy", edge)
+    np.savez(tmp_path / "two.npz", a=edge, b=edge)
+    Image.fromarray(np.zeros((64, 64), np.uint8)).save(tmp_path / "grey8.png")
+    for name in ("text.npy", "text.png"):
+        (tmp_path / name).write_text("not a picture")
+    write_channels(tmp_path / "rgb.exr", {"R": edge, "G": edge}, {})
+    folder = CASES if (CASES / line.split()[0]).exists() else tmp_path
+    assert_refused(*command(f"sfr {folder}/{line} --out {tmp_path}/o"), [words])
+    assert not (tmp_path / "o").exists()

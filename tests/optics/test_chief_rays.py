@@ -41,6 +41,7 @@ LIT = ((0.0, 0.0, 1.0), (1.0, 12.0, 0.9), (2.0, 21.5, 0.7))
         (f"# f/1.8\n\n{CRA.upper()}\n", ROWS),
         ("image_height_mm,deg\n2,21.5\n1,12\n0,0\n", ROWS),
         ("deg;image_height_mm\n0;0\n12;1\n21,5;2\n", ROWS),
+        ("image_height_mm deg\n0 0\n1 12\n2 21,5\n", ROWS),
         ("relative_illumination\timage_height_mm\tdeg\n1\t0\t0\n0.9\t1\t12\n0.7\t2\t21.5\n", LIT),
         ("Image height (mm);CRA (°);Relative illumination (%)\n0;0;100\n1;12;90\n2;21,5;70\n", LIT),
     ],
