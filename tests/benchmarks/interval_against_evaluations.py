@@ -18,7 +18,8 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.dense_curves import covers, simulated, simulation_options
+from benchmarks.curve_studies import covers, simulation_options, study_rounds
+from helpers.dense_curves import simulated
 
 from pixsim.show.figures import LINE_STYLES, new_figure, pixsim_style, svg_text
 from pixsim.studies.design import study_pitches_um
@@ -56,7 +57,7 @@ def round_half_widths(
     """
     study, _ = simulated(CURVE, number, len(pitches_um), sensors)
     points = []
-    for now, fit in study.rounds(dict.fromkeys(pitches_um, sensors), max_sensors):
+    for now, fit in study_rounds(study, dict.fromkeys(pitches_um, sensors), max_sensors):
         evaluations = sum(now.values())
         if evaluations > MAX_COUNT:
             break

@@ -32,17 +32,21 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmarks.curve_studies import (
+    covers,
+    simulated_beside_an_end,
+    simulated_loud,
+    simulation_options,
+    study_rounds,
+)  # fmt: skip
 from helpers.dense_curves import (
     HELD_OUT,
     STEEP,
     Sensors,
     SimulatedStudy,
-    covers,
     holds,
     simulated,
-    simulated_beside_an_end,
     simulated_even,
-    simulation_options,
     truth_of,
 )  # fmt: skip
 
@@ -80,7 +84,8 @@ def record_of(study: SimulatedStudy, sensors: Sensors, fit: FittedCurve) -> dict
     """Results of one simulated study."""
     truth, best, pitch_um = study.truth, fit.optimum, np.array(list(sensors))
     low, high = best.interval_um
-    least = truth.least_between(pitch_um[0], pitch_um[-1])
+    best_um = np.clip(truth.best_um, pitch_um[0], pitch_um[-1])
+    least = float(truth.delta_e(best_um))
     return {
         "coverage": covers(best, truth, pitch_um),
         "half_width_um": best.half_width_um,
@@ -123,7 +128,7 @@ def fixed_cell(
     truth_of(curve)
     records, start = [], time.perf_counter()
     for number in range(studies):
-        study, sensors = simulated(curve, number, pitches, repeats, loud)
+        study, sensors = (simulated_loud if loud else simulated)(curve, number, pitches, repeats)
         records.append(record_of(study, *study.refined(sensors, MAX_SENSORS)))
     return row_of(
         "loud" if loud else "fixed",
@@ -143,7 +148,7 @@ def rounds_cell(
     records, start = [], time.perf_counter()
     for number in range(studies):
         study, sensors = simulated(curve, number, pitches, repeats)
-        for more, fit in study.rounds(sensors, MAX_SENSORS):
+        for more, fit in study_rounds(study, sensors, MAX_SENSORS):
             if sum(more.values()) > MAX_EVALUATIONS:
                 break
             last = more, fit

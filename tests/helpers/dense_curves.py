@@ -1,4 +1,5 @@
-"""Simulated studies of known curves, for tests and benchmarks of the interval of the optimum.
+"""Simulated studies of known curves, for tests of the interval of the optimum; more of them for
+benchmarks are made in tests/benchmarks/curve_studies.py.
 
 A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the posterior mean of a
 quadratic plus a twice integrated Wiener process in the logarithm of the photodiode width, at the
@@ -8,10 +9,9 @@ the sensors of a pitch share, and the noise of each sensor. Curves with a steep 
 
 from __future__ import annotations
 
-import argparse
 import math
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from pixsim.base.arrays import Array
-from pixsim.studies.curve import next_near_best, next_sensors, next_where_open
+from pixsim.studies.curve import next_near_best, next_where_open
 from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.files import load_study
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
@@ -32,8 +32,8 @@ TECHNOLOGIES = {
     "near_an_end": "0.5um",
     "at_the_end": "0.35um",
     "skewed": "0.18um",
+    "beside_an_end": "0.35um",
 }
-TECHNOLOGIES["beside_an_end"] = "0.35um"
 SENSORS = 8  # at each pitch of a sweep
 STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # relative to the least mean ΔE
 RESIDUALS = np.arange(0.0, 2.1, 0.25)  # relative to the standard error at a pitch of a sweep
@@ -72,12 +72,9 @@ WITHOUT_NOISE = ("information", "information_f8", "detectability", "detectabilit
 HELD_OUT = tuple(
     f"{metric}_f{f_number}" for metric in WITHOUT_NOISE[::2] for f_number in ("4", "5_6", "11")
 )
-EVEN_ENDS_UM, EVEN_ENDS_SPREAD = (
-    (1.2, 6.5),
-    0.2,
-)  # ends of sizes in equal ratios, and how far their logarithms are drawn from them
-# how far the steps between an end of the sizes and the best one are drawn below their number
-STEPS_SPREAD = 0.25
+# Ends of sizes in equal ratios, and how far their logarithms are drawn from them.
+EVEN_ENDS_UM = (1.2, 6.5)
+EVEN_ENDS_SPREAD = 0.2
 # Scatter of a size that agrees with the dots over that of the others: 1.3 to 1.8 % over .2 to .5 %
 # of the mean ΔE.
 LOUD_NOISE = 4.0
@@ -113,39 +110,17 @@ class Truth:
         """Expected mean ΔE at pitches, (n,)."""
         return np.interp(np.log(pitch_um), self.log_pitch, self.curve)
 
-    def least_between(self, low_um: float, high_um: float) -> float:
-        """The least mean ΔE of the pitches between two limits."""
-        best_um = min(max(self.best_um, low_um), high_um)
-        return float(self.delta_e(np.array([best_um]))[0])
-
 
 @cache
 def truth_of(name: str) -> Truth:
-    """The curve of a dense sweep, or one of `STEEP`."""
-    if name in STEEP:
-        low_um, high_um, curve_of = STEEP[name]
+    """The curve of a dense sweep, or one of `STEEP` or `FORMS`."""
+    formula = STEEP.get(name) or FORMS.get(name.removesuffix("_exact"))
+    if formula:
+        low_um, high_um, curve_of = formula
         log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
-        return Truth(
-            name,
-            None,
-            math.nan,
-            STEEP_NOISE,
-            STEEP_RESIDUAL,
-            log_pitch,
-            curve_of(np.exp(log_pitch)),
-        )
-    if (form := name.removesuffix("_exact")) in FORMS:
-        low_um, high_um, curve_of = FORMS[form]
-        log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
-        return Truth(
-            name,
-            None,
-            math.nan,
-            FORM_NOISE if form == name else 0.0,
-            0.0,
-            log_pitch,
-            curve_of(np.exp(log_pitch)),
-        )
+        noise = STEEP_NOISE if name in STEEP else FORM_NOISE * (name in FORMS)
+        residual = STEEP_RESIDUAL if name in STEEP else 0.0
+        return Truth(name, None, math.nan, noise, residual, log_pitch, curve_of(np.exp(log_pitch)))
     if name in (*WITHOUT_NOISE, *HELD_OUT):
         pitch_um, mean, _ = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
         log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
@@ -223,26 +198,6 @@ class SimulatedStudy:
         )
         return np.exp(np.linspace(first, last, count))
 
-    def pitches_beside_an_end_um(self, count: int, end: str, steps: float) -> Array:
-        """`count` pitches in equal ratios, of which the best pitch is up to so many steps from the
-        smallest or the largest one.
-
-        The other end is drawn as that of `even_pitches_um`; nearer, if the curve does not reach so
-        many steps beyond the best.
-
-        end : "lower" or "upper"
-        """
-        first, last = self.truth.log_pitch[[0, -1]]
-        sign, limit, far_um = (
-            (1, first, EVEN_ENDS_UM[1]) if end == "lower" else (-1, last, EVEN_ENDS_UM[0])
-        )
-        best = np.log(self.truth.best_um)
-
-        steps -= self.rng.uniform(0, STEPS_SPREAD)
-        far = np.log(far_um) + self.rng.uniform(-EVEN_ENDS_SPREAD, EVEN_ENDS_SPREAD)
-        step = min(abs(far - best) / (count - 1 - steps), abs(limit - best) / steps)
-        return np.sort(np.exp(best + sign * step * (np.arange(count) - steps)))
-
     def measured(self, sensors: Sensors) -> tuple[Array, Array]:
         """Pitches (P,) and mean ΔE of their sensors (P, R), padded with NaN."""
         for pitch_um, count in sensors.items():
@@ -278,41 +233,13 @@ class SimulatedStudy:
                 return sensors, fit
             sensors = more
 
-    def rounds(self, sensors: Sensors, max_sensors: int) -> Iterator[tuple[Sensors, FittedCurve]]:
-        """The study at the start and after each round of additions, until none is possible."""
-        while True:
-            fit = self.fit(sensors)
-            yield sensors, fit
-            more = next_sensors(fit, sensors, max_sensors)
-            if more == sensors:
-                return
-            sensors = more
 
-
-def simulated(
-    name: str, number: int, pitches: int, repeats: int, loud: bool = False
-) -> tuple[SimulatedStudy, Sensors]:
-    """The simulated study with a `number`, and its initial sensors; the same on every machine.
-
-    loud : whether one of its first sizes, any of them, scatters more than the others
-    """
+def simulated(name: str, number: int, pitches: int, repeats: int) -> tuple[SimulatedStudy, Sensors]:
+    """The simulated study with a `number`, and its initial sensors; the same on every machine."""
     study = SimulatedStudy(
         truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number])
     )
-    sensors = dict.fromkeys(study.pitches_um(pitches).tolist(), repeats)
-    if loud:
-        study.loud.add(list(sensors)[int(study.rng.integers(pitches))])
-    return study, sensors
-
-
-def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
-    """Whether the interval contains the true minimum; its end must be open if no pitch lies beyond
-    the minimum.
-    """
-    low, high = optimum.interval_um
-    above = low is None or (pitch_um[0] <= truth.best_um and low <= truth.best_um)
-    below = high is None or (truth.best_um <= pitch_um[-1] and truth.best_um <= high)
-    return above and below
+    return study, dict.fromkeys(study.pitches_um(pitches).tolist(), repeats)
 
 
 def simulated_even(
@@ -328,19 +255,6 @@ def simulated_even(
     return study, dict.fromkeys(study.even_pitches_um(pitches).tolist(), repeats)
 
 
-def simulated_beside_an_end(
-    name: str, number: int, pitches: int, end: str, steps: float, repeats: int = 2
-) -> tuple[SimulatedStudy, Sensors]:
-    """The simulated study with a `number` whose best size is some steps from an end of its sizes,
-    and its sensors.
-    """
-    key = [zlib.crc32(f"{name} {end} {steps}".encode()), pitches, repeats, number, 2]
-    study = SimulatedStudy(truth_of(name), np.random.default_rng(key))
-    return study, dict.fromkeys(
-        study.pitches_beside_an_end_um(pitches, end, steps).tolist(), repeats
-    )
-
-
 def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
     """Whether the interval contains the true minimum; an open end counts only within a step of the
     end of the sizes.
@@ -351,40 +265,3 @@ def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
     above = truth.best_um <= pitch_um[1] if low is None else low <= truth.best_um
     below = truth.best_um >= pitch_um[-2] if high is None else truth.best_um <= high
     return bool(above and below)
-
-
-def simulation_options(
-    studies: int,
-    out: Path | None,
-    out_steep: Path | None = None,
-    out_even: Path | None = None,
-    out_ends: Path | None = None,
-) -> argparse.Namespace:
-    """Command-line options of a benchmark of simulated studies; with `out_steep`, those of steep
-    curves are a choice.
-    """
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--studies", type=int, default=studies)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path)
-    if out_steep:
-        parser.add_argument("--steep", action="store_true", help="of curves with a steep flank")
-        parser.add_argument(
-            "--even",
-            action="store_true",
-            help="of sizes in equal ratios, also of metrics without noise",
-        )
-        parser.add_argument(
-            "--beside-an-end",
-            action="store_true",
-            help="of the best size beside the smallest or the largest one",
-        )
-    options = parser.parse_args()
-    if out_steep and options.steep:
-        options.out = options.out or out_steep
-    elif out_even and options.even:
-        options.out = options.out or out_even
-    if out_ends and options.beside_an_end:
-        options.out = options.out or out_ends
-    options.out = options.out or out
-    return options

@@ -16,14 +16,13 @@ from helpers.study_settings import CHANGES
 from helpers.tiny import COARSE, TINY, keys, lit_sensors, rows, tiny, toml_of
 
 import pixsim
+from pixsim import Camera, SpectralImage, Study
 from pixsim.base import cache
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
 from pixsim.studies.design import BASE, cases_of, light_hash, physics_of, pixel_of
 from pixsim.studies.files import load_study
 from pixsim.studies.merit import noise_budgets
 from pixsim.studies.result import StudyResult
-from pixsim.studies.settings import Study, axes_of
+from pixsim.studies.settings import axes_of
 from pixsim.viewer import scene_light
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.merging import merge
@@ -106,9 +105,10 @@ def test_settings_of_the_pixel_hold_for_data_sheets(tmp_path: Path) -> None:
     """Under the word that the sheet has, or another one; what is not varied stays that of the
     sheet.
     """
-    numbers = {"full_well_e": 1e4, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
-    pixel = numbers | {"pitch_um": 6.0, "read_noise_e": 20.0}
-    (tmp_path / "sheet.toml").write_text(f"pixel = {toml_of(pixel)}\n", encoding="utf-8")
+    (tmp_path / "sheet.toml").write_text(
+        "[pixel]\npitch_um = 6.0\nread_noise_e = 20.0\nfull_well_e = 10000.0\n"
+        "dark_current_e_per_s = 1.0\nquantum_efficiency = 0.6\n"
+    )
     (tmp_path / "s.toml").write_text('name = "s"\ntechnologies = ["sheet.toml", "4t-bsi"]\n')
     axis = {"name": "noise", "set": "pixel.temporal_dark_noise_e", "values": [1.0, 2.0]}
     warm = {"name": "warm", "set": {"pixel": {"dark_current_e_per_s": 50.0}}}
@@ -297,8 +297,8 @@ STAGES = {name: ({}, {name: value}, stages) for name, (value, stages) in CHANGES
 def stages(study: Study) -> dict[str, str]:
     """The key of each stage of a study in one light."""
     light = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
-    sensor = lit_sensors(study, light, Camera())[0]
-    score_key = sensor.keys(6.0, 2)[1]
+    (sensor, *_) = lit_sensors(study, light, Camera())
+    _, score_key = sensor.keys(6.0, 2)
     return {"light": light_hash(study), "frame": sensor.pixel_hash(6.0), "score": score_key}
 
 
@@ -330,8 +330,10 @@ FILTERS = {
         },
     ],
 }
-OPEN = {"label": "open", "set": {"pixel": {"stack": {"enabled": False}}}}
-DEEP = {"label": "deep", "set": {"pixel": {"stack": {"enabled": True}}}}
+STACKS = [
+    {"label": "open", "set": {"pixel": {"stack": {"enabled": False}}}},
+    {"label": "deep", "set": {"pixel": {"stack": {"enabled": True}}}},
+]
 
 
 def filters(**over: Any) -> Study:
@@ -394,26 +396,20 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
 
 @IN_COLOUR
 def test_case_without_possible_sizes_is_left_out_with_the_reason(tmp_path: Path) -> None:
-    """The others have their curves; a study of no other case is refused."""
-    tables: dict[str, Any] = {
-        "pixel": {"colour": CAMERA},
-        "pitch": {"values_um": [0.45, 0.5, 0.55, 0.6, 0.65]},
-        "camera": {"die_mm": 0.1},
-    }
-    study = filters(axis=[{"name": "stack", "values": [OPEN, DEEP]}], **tables)
+    study = filters(
+        axis=[{"name": "stack", "values": STACKS}],
+        pixel={"colour": CAMERA},
+        pitch={"values_um": [0.45, 0.5, 0.55, 0.6, 0.65]},
+        camera={"die_mm": 0.1},
+    )
     with pytest.warns(UserWarning, match="a case is left out: 4t-bsi, deep: 0 of 5 pixel sizes"):
-        result = pixsim.study(study, out=tmp_path / "out", jobs=1)
+        result = pixsim.study(study, out=tmp_path, jobs=1)
     assert [curve.at for curve in result.curves] == [{"stack": "open"}]
-    assert result.as_dict()["left_out"] == list(result.left_out)
-    assert result.left_out[0].startswith("4t-bsi, deep: ")
-
-    study = filters(axis=[{"name": "stack", "values": [DEEP]}], resolution=64, **tables)
-    with pytest.raises(pixsim.PixsimError, match=r"4t-bsi, deep: none of its.*noise gains"):
-        pixsim.study(study, out=tmp_path / "none", jobs=1)
+    (words,) = result.as_dict()["left_out"]
+    assert words.startswith("4t-bsi, deep: ")
 
 
 def test_packaged_study_of_filters_is_possible() -> None:
-    """All cases have possible pixels, of files beside the study."""
     cases = cases_of(load_study("colour"))
     channels = [len(physics_of(case.settings, "4t-bsi", 2.0).channels) for case in cases]
     assert channels == [1, 1, 3, 3, 3, 3, 3, 3, 3, 3]

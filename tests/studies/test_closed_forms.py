@@ -16,6 +16,7 @@ from helpers.film_pictures import light
 from scipy import stats
 from scipy.special import ndtri
 
+from pixsim import Display, Study
 from pixsim.base.arrays import MEASURED
 from pixsim.report.axes import regrets_columns
 from pixsim.report.regret import condition_regrets_data, regrets_data, regrets_plate
@@ -31,9 +32,8 @@ from pixsim.studies.regret import (
     weighted_fit,
     weighted_mean,
 )
-from pixsim.studies.settings import Axis, Study
+from pixsim.studies.settings import Axis
 from pixsim.studies.uncertainty import first_order, ratio_of_means, saltelli, total_indices
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
@@ -52,9 +52,7 @@ HALVES = {"day": 0.5, "night": 0.5, "never": 0.0}
 
 
 def study_of(conditions: int) -> Study:
-    """A study of the first of the conditions."""
-    table = {"name": "x", "pixel": SHEET, "condition": CONDITIONS[:conditions]}
-    return Study.model_validate(table)
+    return Study(name="x", pixel=SHEET, condition=CONDITIONS[:conditions])
 
 
 def parabola(best_um: float, best: float, bend: float, pitch_um: Any = PITCH_UM) -> Any:
@@ -73,11 +71,16 @@ def curve(condition: str = "", scatter: float = 1e-6, **means: Any) -> Curve:
         metric.name: fit_of_metric(metric, PITCH_UM, statistics[metric.columns[0]], np.asarray)
         for metric in metrics
     }
-    fit = fits.pop(metrics[0].name)
-    case = CaseLabels(condition=condition)
-    fill_factor = np.ones(PITCH_UM.size)
-    return Curve(  # type: ignore[call-arg]
-        "none", 0.35, PITCH_UM, fill_factor, statistics, fit, metrics=metrics, fits=fits, case=case
+    return Curve(
+        "none",
+        0.35,
+        PITCH_UM,
+        np.ones(PITCH_UM.size),
+        statistics,
+        fits.pop(metrics[0].name),
+        metrics=metrics,
+        fits=fits,
+        case=CaseLabels(condition=condition),
     )
 
 
@@ -365,13 +368,9 @@ def indices(result: np.ndarray) -> list[list[float]]:
     return [[shares[name][kind].share for name in ABC] for kind in ("first", "total")]
 
 
-def product_shares() -> list[float]:
-    x = ndtri(points(256, 2))
-    return share_numbers(first_order(x, np.exp(x @ [0.1, 0.09]), ["a", "b"]))
-
-
 # T. Ishigami and T. Homma (1990), with a = 7 and b = 0.1; the shares in closed form.
 ISHIGAMI = [[0.3139, 0.4424, 0.0], [0.5576, 0.4424, 0.2437]]
+NORMAL = ndtri(points(256, 2))
 VARIANCES = np.expm1([0.1**2, 0.09**2])
 SHARES = [
     *(
@@ -393,7 +392,7 @@ SHARES = [
     ),
     Claim(
         "a product of two lognormal inputs",
-        product_shares,
+        lambda: share_numbers(first_order(NORMAL, np.exp(NORMAL @ [0.1, 0.09]), ABC[:2])),
         VARIANCES / math.expm1(0.1**2 + 0.09**2),
         atol=0.03,
         why="three standard errors of 256 points",
@@ -455,7 +454,6 @@ def test_weighted_mean_that_is_best_at_the_smallest_size_has_an_open_interval() 
         curve("night", 1e-4, delta_e=parabola(3.5, 0.9, 0.4)),
     ]
     fit = weighted_fit(study_of(3), curves, HALVES)
-    assert fit is not None
     assert (fit.optimum.inside, fit.optimum.interval_um[0]) == (False, None)
 
 
@@ -485,7 +483,6 @@ def test_nothing_is_left_where_the_best_value_is_zero() -> None:
 
 
 def test_size_worth_nothing_ends_a_curve_and_one_without_a_number_is_left_out() -> None:
-    """ΔE takes all sizes."""
     metric = METRICS["information"]
     values = 50.0 / (parabola(6.0, 1.0, 1.0)[:, None] * [[0.99, 1.01]])
     values[7, 1] = 0.0
@@ -495,14 +492,13 @@ def test_size_worth_nothing_ends_a_curve_and_one_without_a_number_is_left_out() 
 
     fit = fit_of_metric(metric, PITCH_UM, values, np.asarray)
     expected = fit_curve(PITCH_UM[fittable], metric.loss(values[fittable]))
-    assert fit is not None
     assert fit.optimum.pitch_um == expected.optimum.pitch_um
 
     by_delta_e = METRIC_CURVE()
     statistics = {"mean_delta_e": by_delta_e.delta_e[:, :2], "information": values}
     both = replace(by_delta_e, statistics=statistics, fits={"information": fit})
     by_information = both.judged_by("information")
-    assert both.fittable.all()
+    assert both.fittable.all(), "ΔE takes all sizes"
     assert np.isnan(by_information.delta_e[~fittable]).all()
     means, half_widths = first_metric_and_ci95(by_information)
     np.testing.assert_allclose(means[[0, 7]], values[[0, 7]].mean(axis=1), rtol=1e-3)
@@ -515,7 +511,6 @@ def test_regret_where_nothing_is_left_is_infinite_and_null_in_json() -> None:
     values = parabola(6.0, 50.0, -5.0)
     values[-1] = 0.0
     regrets = metric_regrets(curve(delta_e=parabola(12.0, 1.0, 1.0), information=values))
-    assert regrets is not None
     by_delta_e, by_information = regrets.criteria
     at_end = replace(by_delta_e, optimum=replace(by_delta_e.optimum, pitch_um=12.0))
     at_zero = replace(regrets, criteria=(at_end, by_information))
@@ -545,11 +540,11 @@ def test_first_order_of_linear_model(count: int) -> None:
 def estimates(count: int, seed: int, share: float) -> np.ndarray:
     """(2, count): estimates and standard errors of the share of a normal input, from 128 draws."""
     rng = np.random.default_rng(seed)
-    shares = []
-    for _ in range(count):
-        x, noise = rng.standard_normal((2, 128))
-        y = math.sqrt(share) * x + math.sqrt(1 - share) * noise
-        shares.append(first_order(x[:, None], y, ["x"])["x"])
+    draws = rng.standard_normal((count, 2, 128))
+    shares = [
+        first_order(x[:, None], math.sqrt(share) * x + math.sqrt(1 - share) * noise, ["x"])["x"]
+        for x, noise in draws
+    ]
     return np.array([(item.share, item.standard_error) for item in shares]).T
 
 

@@ -22,15 +22,14 @@ from helpers.film_pictures import CAMERA, PIXEL, cells, covered, delta_e_of, lig
 from scipy.ndimage import gaussian_filter
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera, CameraOptions
+from pixsim import Camera, Develop, Display, Exposure, SpectralImage, Study
+from pixsim.optics.camera import CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
 from pixsim.scene.rules import Chart
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import lights_of
 from pixsim.studies.design import Case
 from pixsim.studies.engine import Workers
@@ -48,9 +47,6 @@ from pixsim.studies.film_error import (
 )
 from pixsim.studies.lights import Light, render_for, render_lights, render_on_film
 from pixsim.studies.prepare import prepare
-from pixsim.studies.settings import Study
-from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
 
@@ -71,9 +67,10 @@ def block_means(picture: np.ndarray, cells_across: int) -> np.ndarray:
 # --- the stated error against the truth (more pictures: tests/benchmarks/film_error.py) -----------
 
 
-def rings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A zone plate."""
-    return 0.5 + 0.45 * np.cos(225 * math.pi * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
+def zone_plate() -> np.ndarray:
+    return covered(
+        lambda x, y: 0.5 + 0.45 * np.cos(225 * math.pi * ((x - 0.5) ** 2 + (y - 0.5) ** 2)), 2, 1024
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,7 +82,7 @@ def rings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         (partial(cells, 384, 1152, (0.35, 0.65), 7), 6, 96, 0.01, 20),
         # Rings that go on beyond the width of a dot, of one sample: the film aliases them, and what
         # is made finer of it shows too little.
-        (partial(covered, rings, 2, 1024), 8, 128, 0.0, 5),
+        (zone_plate, 8, 128, 0.0, 5),
     ],
     ids=["a cell a sample", "two cells a sample", "a sample a dot"],
 )
@@ -241,12 +238,10 @@ def test_part_at_the_edge_of_a_picture_has_the_light_beyond_it() -> None:
     """As a part inside of a larger picture has it; mirrored light would differ by its contrast."""
     image, behind = behind_a_lens(2.0)
     inner = image.with_planes(image.planes, margin=96)
-    rates = []
-    for picture, first in ((image, 96), (inner, 0)):
-        region = (slice(first, first + 64),) * 2
-        films = BehindLens.of(picture, behind).film_lights([region], 1)
-        rates.append(films[0][0][0].rate_e_per_s_um2)
-    inside, at_edge = rates
+    inside, at_edge = (
+        BehindLens.of(picture, behind).film_lights([region], 1)[0][0][0].rate_e_per_s_um2
+        for picture, region in ((image, (slice(96, 160),) * 2), (inner, (slice(0, 64),) * 2))
+    )
     assert (at_edge - inside).std() < 0.02 * inside.std()
 
 
@@ -330,7 +325,6 @@ def rendered(*errors: Callable[[int], float], **options: Any) -> tuple[FilmError
         measure=measure,
         **options,
     )
-    assert light.film is not None
     return light.film, widths
 
 
@@ -379,10 +373,15 @@ def test_films_share_their_time(
 
 def test_run_takes_a_finer_film_unless_its_resolution_is_set() -> None:
     """The chart's 90 periods need more than 64 samples; the stated errors cover the difference."""
-    options: dict[str, Any] = {"parameters": {"resolution": 64}, "display": {"dots": 64}}
-    options["pixel"] = {"pitch_um": 21.2}
-    free = pixsim.run("csf", **options).as_dict()
-    fixed = pixsim.run("csf", resolution=64, **options).as_dict()
+    run = partial(
+        pixsim.run,
+        "csf",
+        parameters={"resolution": 64},
+        display={"dots": 64},
+        pixel={"pitch_um": 21.2},
+    )
+    free = run().as_dict()
+    fixed = run(resolution=64).as_dict()
     assert (free["film"]["met"], fixed["film"]["met"]) == (True, False)
     assert free["film"]["resolution"] >= 256
     assert fixed["film"]["resolution"] == 64
@@ -427,7 +426,6 @@ def test_dimmer_light_is_that_of_its_render_with_the_film_of_the_brightest() -> 
     assert dim.film == bright.film
     assert dim.image.header == expected.image.header
     np.testing.assert_array_equal(dim.image.planes, expected.image.planes)
-    assert expected.film is not None
     assert 0.0 < expected.film.largest_delta_e < 0.5 * min(expected.film.tolerated_delta_e)
 
 

@@ -43,16 +43,11 @@ def condition(table: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def value(setting: str, setting_value: Any) -> Any:
-    """Return the cases of an axis over one value."""
     return cases_of(tiny(axis=[{"name": "a", "set": setting, "values": [setting_value]}]))
 
 
-def given(**options: Any) -> Any:
-    return pixsim.study("tiny.toml", "out", light=LIGHT, **options)
-
-
-def sweep(*pixels: Any, **options: Any) -> Any:
-    return pixsim.sweep(LIGHT, pixels, camera=Camera(die_mm=2.7), display=Display(), **options)
+given = partial(pixsim.study, "tiny.toml", "out", light=LIGHT)
+sweep = partial(pixsim.sweep, LIGHT, camera=Camera(die_mm=2.7), display=Display())
 
 
 def compare(*files: str, **options: Any) -> Any:
@@ -246,15 +241,15 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
         ("'mine.exr'", "read_irradiance"),
     ),
     # Many sensors in one light
-    "no sensor": (sweep, ("pixels", "none")),
+    "no sensor": (partial(sweep, []), ("pixels", "none")),
     "a name that is a formula": (
         lambda: pixsim.sweep(LIGHT, {"=1+1": Pixel()}),
         ("pixels", "begins with ="),
     ),
-    "a name in place of a pixel": (partial(sweep, "imx477"), ("pixels[0]", "a Pixel")),
-    "a pixel larger than the die": (partial(sweep, Pixel(), Pixel(pitch_um=2e3)), ("pixel 1",)),
+    "a name in place of a pixel": (partial(sweep, ["imx477"]), ("pixels[0]", "a Pixel")),
+    "a pixel larger than the die": (partial(sweep, [Pixel(), Pixel(pitch_um=2e3)]), ("pixel 1",)),
     "acutance in colour": (
-        partial(sweep, Pixel(), Pixel(colour=COLOUR), metrics=["acutance"]),
+        partial(sweep, [Pixel(), Pixel(colour=COLOUR)], metrics=["acutance"]),
         ("pixel 1", "'acutance'"),
     ),
     "monochrome and colour in a coloured light": (
@@ -332,7 +327,6 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A study and sensors, of which the files above are."""
     path = tmp_path_factory.mktemp("refused")
     (path / "tiny.toml").write_text('name = "s"\npitch.values_um = [20, 28, 40, 56, 80]\n')
     sheet(path / "a.toml")
