@@ -245,7 +245,7 @@ REFUSED = {
     "a plugin of another kind": ('<shape type="diffuse"/>', "shape: got 'diffuse'"),
     "an unknown property": ('<bsdf type="diffuse"><float name="reflectanse" value="1"/></bsdf>', "Did you mean 'reflectance'"),
     "a property of another plugin": ('<bsdf type="diffuse"><float name="alpha" value="1"/></bsdf>', "got <float> .* is 'alpha'"),
-    "a camera of Mitsuba alone": ('<sensor type="irradiancemeter"/>', "thinlens.* may stand beside it, and is not used"),
+    "a camera of Mitsuba alone": ('<sensor type="irradiancemeter"/>', "thinlens.* may be in the same scene, and is not used"),
     "an include that is not there": ('<include filename="lamp.xml"/>', "lamp.xml', which does not exist, in line 1 of 'scene.xml'"),
     "a property of another type": ('<bsdf type="twosided"><string name="x" value="y"/></bsdf>', "twosided: got <string>"),
     "a folder for plugins": ('<path value="q"/>', "a <path> in line 1.*assets='FOLDER'"),

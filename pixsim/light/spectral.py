@@ -750,7 +750,7 @@ class Spectrum:
             raise invalid(
                 "spectrum",
                 f"values up to {np.abs(self.values).max():.3g}",
-                f"up to {MAX_COUNT:g}, for float32",
+                f"up to {MAX_COUNT:g}, the limit for float32",
             )
 
     def at(self, wavelength_nm: Array) -> Array:

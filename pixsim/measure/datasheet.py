@@ -385,7 +385,7 @@ def datasheet_settings(
         raise invalid(
             ", ".join(given_files),
             "with a Pixel",
-            "fields of a pixel beside a file",
+            "fields of a pixel together with a file",
             "Set these values in the Pixel instead.",
         )
 

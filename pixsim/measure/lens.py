@@ -608,9 +608,13 @@ def lens(
         )
 
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
-        raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
+        raise invalid(
+            setting("field_deg"), f"{field_deg:g}", "0, or at least 1e-6 and below 90 degrees"
+        )
     if reflectance is not None and not 0 <= reflectance < 1:
-        raise invalid(setting("reflectance"), f"{reflectance:g}", "a number from 0 to below 1")
+        raise invalid(
+            setting("reflectance"), f"{reflectance:g}", "a number of at least 0 and below 1"
+        )
     with collected_notes() as notes:
         file_lens = load_lens(
             file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass

@@ -836,7 +836,7 @@ def _check_kinks(
     name = "bright" if levels[index] == max(levels) else "dark"
     got = (
         f"a {name} side at exactly {levels[index]:g} above black that the edge runs into at"
-        f" {percent(kinks[index])} of its steepest slope, beside {percent(kinks[1 - index])} on the"
+        f" {percent(kinks[index])} of its steepest slope, and at {percent(kinks[1 - index])} on the"
         " other side"
     )
     if is_unclipped:

@@ -162,7 +162,8 @@ class Camera(Record):
         if self.lens is not None or has_table:
             other_source = "lens.file" if self.lens else "camera.chief_ray_angle"
             raise ValueError(
-                f"got lens.relative_illumination beside {other_source}, which has a fall-off;"
+                f"got lens.relative_illumination together with {other_source}, which has a"
+                f" fall-off;"
                 " allowed: one of them"
             )
 

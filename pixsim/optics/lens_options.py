@@ -178,7 +178,8 @@ class LensOptions(PrescriptionOptions):
         None,
         description=(
             "share of the light of the whole field that falls uniformly on the sensor (ISO 9358,"
-            " ISO 18844): a number from 0 to below 1, or a CSV file of wavelength in nm and share"
+            " ISO 18844): a number of at least 0 and below 1, or a CSV file with wavelength in nm"
+            " and share"
             " (absent: none)"
         ),
     )

@@ -465,7 +465,7 @@ class _SurfaceTable(Record):
 
     curvature_per_mm: Length | None = Field(None, description="1/radius")
     radius_mm: _MaybeInfinite | None = Field(
-        None, description="instead of the curvature, or beside it; inf for a plane"
+        None, description="instead of the curvature, or in addition to it; inf for a plane"
     )
     thickness_mm: Length = Field(
         description="along the axis to the next vertex, or to the image plane",

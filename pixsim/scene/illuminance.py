@@ -35,7 +35,7 @@ def strength(
     Raises PixsimError if the parameters change the lamps' balance, or if their light is unknown or
     invisible.
     """
-    got = f"'{lux:g}' beside {', '.join(parameters)}" if parameters else f"'{lux:g}'"
+    got = f"'{lux:g}' together with {', '.join(parameters)}" if parameters else f"'{lux:g}'"
     low, high = _ALLOWED_LUX
     if not low <= lux <= high:
         raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{low:g} to {high:g} lx")

@@ -488,7 +488,7 @@ def _light_of_white(text: SceneText, luminance: object, lux: object) -> tuple[ob
     if luminance is not None:
         raise invalid(
             ILLUMINANCE,
-            f"'{lux}' beside {LUMINANCE}",
+            f"'{lux}' together with {LUMINANCE}",
             "one of them",
             "A white diffuser at E lx has a luminance of E / π cd/m².",
         )
@@ -545,7 +545,9 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     hint = did_you_mean(unknown[0], allowed)
     settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], unknown[0])]
     if settings and not hint:
-        hint = f"The setting with this name is {' or '.join(settings)}, beside the scene."
+        hint = (
+            f"The setting with this name is {' or '.join(settings)}, not a parameter of the scene."
+        )
     raise invalid("scene parameter", f"'{unknown[0]}'", ", ".join(sorted(allowed)), hint)
 
 

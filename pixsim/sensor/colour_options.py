@@ -153,7 +153,7 @@ class ColourOptions(Record):
         responses = [name for name in RESPONSES if getattr(self, name) is not None]
         if not responses:
             others = [name for name in ColourOptions.model_fields if name in self.model_fields_set]
-            beside = f" beside {', '.join(others)}" if others else ""
+            beside = f" together with {', '.join(others)}" if others else ""
             raise ValueError(
                 f"no response of the channels{beside}; allowed: one of {', '.join(RESPONSES)}"
             )
@@ -164,7 +164,8 @@ class ColourOptions(Record):
             )
         if self.sensitivities is None and self.peak_quantum_efficiency is not None:
             raise ValueError(
-                f"peak_quantum_efficiency beside {responses[0]}, which are absolute; leave it out"
+                f"peak_quantum_efficiency together with {responses[0]}, which are absolute; leave"
+                f" it out"
             )
         return self
 

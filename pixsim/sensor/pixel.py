@@ -1084,7 +1084,9 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     options = StackOptions(**process_values | stated)
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."
-        got = f"no {' and no '.join(missing)}" + (f" beside {', '.join(stated)}" if stated else "")
+        got = f"no {' and no '.join(missing)}" + (
+            f" together with {', '.join(stated)}" if stated else ""
+        )
         raise invalid("pixel.stack", got, "a height and an index of refraction", hint)
     if (options.depletion_um is None) != (options.diffusion_length_um is None):
         got = "depletion_um" if options.diffusion_length_um is None else "diffusion_length_um"

@@ -325,7 +325,7 @@ class PixelOptions(Record):
         None,
         description=(
             "temporal read noise after the amplifier, in electrons at 0 dB; gain_db divides it by"
-            " the amplification (absent: the technology's, or 0 beside read_noise_e)"
+            " the amplification (absent: the technology's, or 0 if read_noise_e is given)"
         ),
     )
     row_noise_e: Annotated[
@@ -544,7 +544,8 @@ class Pixel(PixelOptions):
         Field(
             None,
             description=(
-                "[x, y]: distance of a pixel border from the die's centre, in pixels, 0 to below 1"
+                "[x, y]: distance of a pixel border from the die's centre, in pixels, at least 0"
+                " and below 1"
                 " (absent: the pixels are centred, and of several repeats each has its own)"
             ),
         )

@@ -308,7 +308,7 @@ class Technology(NumbersOfPixels):
                 raise invalid(
                     f"distribution of {name}",
                     f"'{distribution}' without a range",
-                    "a range = [low, high] beside it",
+                    "a range = [low, high] together with it",
                 )
             low, high = self.ranges[name]
             if distribution == "lognormal" and not 0 < low < high:

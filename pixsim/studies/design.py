@@ -176,7 +176,7 @@ def study_pitches_um(study: Study, technology: str) -> Array:
             technology_of(study, technology), study.options_of(technology).fill_factor_law
         )
         if process.name == NO_TECHNOLOGY:
-            got = f"no value, with {technology} beside other technologies"
+            got = f"no value, with {technology} among other technologies"
             expected = "a smallest pixel size, or pitch.values_um"
             raise invalid(
                 "pitch.min_um",

@@ -1096,7 +1096,7 @@ def _background_of_light(
     options = settings.metric.detectability
     name = setting("metric.detectability.without")
     if background is not None and "without" in options.model_fields_set:
-        reason = "the light without the target is given beside the light"
+        reason = "the light without the target is given together with the light"
         warn(Note("not_used", setting=name, reason=reason))
     file = options.without if isinstance(options.without, str) else ""
     if background is None and is_picture(file) and has_target(settings.metrics):

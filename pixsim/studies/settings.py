@@ -609,7 +609,7 @@ class Study(Setting):
     )
     scene: StudyScene = Field(StudyScene(), description="scene of the study")
     axis: Annotated[tuple[Axis, ...], Field(max_length=_AXIS_COUNT)] = Field(
-        (), description="what the study varies beside the pixel size"
+        (), description="what the study varies in addition to the pixel size"
     )
     condition: Annotated[tuple[Condition, ...], Field(max_length=_AXIS_COUNT)] = Field(
         (), description="circumstances in which the pixel is used; each has its own optimum"

@@ -217,7 +217,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ),
         (
             "run csf -D f_number=4",
-            "The setting with this name is camera.f_number, beside the scene.",
+            "The setting with this name is camera.f_number, not a parameter of the scene.",
         ),
     ],
 )

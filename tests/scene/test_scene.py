@@ -98,7 +98,7 @@ def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
     assert luminances[1] == pytest.approx(expected, rel=1e-6)
     assert load(path, lux=50).white_cd_per_m2 == pytest.approx(15, rel=1e-12)
     assert load(path, lux=50, white_cd_per_m2=7).white_cd_per_m2 == 7
-    with pytest.raises(PixsimError, match="'50' beside far, with a different balance"):
+    with pytest.raises(PixsimError, match="'50' together with far, with a different balance"):
         load(path, lux=50, far=1)
 
 

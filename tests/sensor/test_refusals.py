@@ -151,7 +151,7 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "peak of absolute responses": (
         lambda: colour(peak_quantum_efficiency=0.5),
-        "peak_quantum_efficiency beside",
+        "peak_quantum_efficiency together with",
     ),
     "two unit cells": (lambda: colour(pattern="rggb", matrix=["RG", "GB"]), "pattern and matrix"),
     "rows of other lengths": (lambda: colour(matrix=["RG", "G"]), "rows of equal length"),

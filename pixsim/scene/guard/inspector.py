@@ -40,7 +40,7 @@ REASONS = {
     "sensor": (
         'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in'
         " metres (any, such as 0.001, if you set --camera.f-number). A perspective or orthographic"
-        " one may stand beside it, and is not used."
+        " one may be in the same scene, and is not used."
     ),
 }
 _PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
