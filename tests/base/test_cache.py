@@ -157,12 +157,8 @@ def test_only_an_entry_of_its_own_label_is_read(folder, place, tmp_path):
 
 def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
-
-    def fingerprint() -> str:
-        cache.version_fingerprint.cache_clear()
-        cache._digest_of_sources.cache_clear()
-        return cache.version_fingerprint()
-
+    monkeypatch.setattr(cache, "_digest_of_sources", cache._digest_of_sources.__wrapped__)
+    fingerprint = cache.version_fingerprint.__wrapped__
     fingerprints = [fingerprint()]
     for name, text in (("a.py", "a"), ("a.py", "b"), ("t.toml", "a"), ("q.csv", "1")):
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -171,8 +167,6 @@ def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
     assert fingerprint() == fingerprints[-1]
     monkeypatch.setattr(cache, "VERSION", "99")
     assert len({*fingerprints, fingerprint()}) == 6
-    cache.version_fingerprint.cache_clear()
-    cache._digest_of_sources.cache_clear()
 
 
 # --- What is written
@@ -289,14 +283,14 @@ def test_clear_removes_one_kind_or_all_but_kernels(folder):
     """Mitsuba manages kernels itself: they are removed if they are named."""
     for kind in ("one", "other"):
         cached(kind=kind)
-    (folder / "kernels").mkdir()
-    for name in (f"{'0a' * 16}.llvm.v6.bin", "notes.txt"):
-        (folder / "kernels" / name).write_bytes(b"kernel")
-    assert [entry.kind for entry in cache.entries()] == ["one", "other"]
+    kernel = folder / f"kernels/{'0a' * 16}.llvm.v6.bin"
+    kernel.parent.mkdir()
+    for path in (kernel, kernel.with_name("notes.txt")):
+        path.write_bytes(b"kernel")
     assert cache.clear("one") > 0
     assert [entry.kind for entry in cache.entries()] == ["other"]
     cache.clear()
-    assert not cache.entries()
+    assert (cache.entries(), kernel.exists()) == ([], True)
     assert cache.clear("kernels") == len(b"kernel")
     assert names(folder / "kernels") == ["notes.txt"]
 

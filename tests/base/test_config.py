@@ -4,7 +4,8 @@ studies, and sensors from data sheets.
 
 from __future__ import annotations
 
-import tomllib
+from copy import deepcopy
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,12 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import TracedLens
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel import derive, fill_factor_law
+from pixsim.sensor.pixel import fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Readout
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.design import pixel_of, study_pitches_um
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study, with_data_sheets
-from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
@@ -46,8 +45,6 @@ bits = 12
 die_mm = 2.0
 f_number = 2.8
 """
-
-TIME_S = 1e-3  # so short that dark charge does not matter
 
 
 def written(path: Path, text: str) -> Path:
@@ -284,40 +281,6 @@ def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     assert (study.camera.f_number, study.repeats) == (2.8, 2)
 
 
-def test_files_of_study_settings_are_layers(tmp_path: Path) -> None:
-    """Later files win, also over a sensor's; another name leaves the random streams of the first
-    file.
-    """
-    sheet, axis = (
-        written(tmp_path / "sensor.toml", SHEET),
-        written(tmp_path / "axis.toml", AXIS_LAYER),
-    )
-    last = written(
-        tmp_path / "last.toml",
-        'name = "last"\nstreams = "other"\n[camera]\nf_number = 11\n[pitch]\nmin_um = 2\n',
-    )
-    study = load_study("chen2000", [sheet, axis])
-    assert (study.name, study.stream_name, study.repeats, study.technologies) == (
-        "lenses",
-        "chen2000",
-        3,
-        ("none",),
-    )
-    assert (study.axis[0].values, study.camera.f_number, study.seed) == ((2.8, 4), 8, 2000)
-    assert "camera.f_number" not in study.sources
-    study = load_study("chen2000", [axis, sheet, last])
-    assert (study.name, study.stream_name, study.camera.f_number) == ("last", "other", 11)
-    assert load_study("chen2000", [axis, sheet]).camera.f_number == 2.8
-    sizes = written(
-        tmp_path / "sizes.toml", 'name = "sizes"\npitch = { values_um = [6, 7, 8, 9, 10] }\n'
-    )
-    assert load_study("chen2000", [sizes, last]).pitch.values_um is None, (
-        "a range takes the place of a list"
-    )
-    scene = written(tmp_path / "scene.toml", 'name = "s"\nscene = { file = "still_life" }\n')
-    assert load_study("pixel-size", scene).scene.parameters == {}
-
-
 AXIS_LAYER = """name = "lenses"
 repeats = 3
 camera = { f_number = 8 }
@@ -327,6 +290,41 @@ set = "camera.f_number"
 values = [2.8, 4]
 alone = true
 """
+
+
+LAYERS = {
+    "sheet": SHEET,
+    "axis": AXIS_LAYER,
+    "last": """name = "last"
+streams = "other"
+camera.f_number = 11
+pitch.min_um = 2
+""",
+    "sizes": 'name = "sizes"\npitch = { values_um = [6, 7, 8, 9, 10] }\n',
+    "scene": 'name = "s"\nscene = { file = "still_life" }\n',
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "files", "expected"),
+    [
+        # Another name leaves the random streams of the first file.
+        ("chen2000", ["sheet", "axis"], {"name": "lenses", "stream_name": "chen2000", "repeats": 3, "seed": 2000}),
+        ("chen2000", ["sheet", "axis"], {"technologies": ("none",), "camera.f_number": 8}),
+        ("chen2000", ["axis", "sheet"], {"camera.f_number": 2.8}),
+        ("chen2000", ["axis", "sheet", "last"], {"name": "last", "stream_name": "other", "camera.f_number": 11}),
+        ("chen2000", ["sizes", "last"], {"pitch.values_um": None}),  # a range takes the place of a list
+        ("pixel-size", ["scene"], {"scene.parameters": {}}),
+    ],
+)  # fmt: skip
+def test_files_of_study_settings_are_layers(
+    name: str, files: list[str], expected: dict[str, object], tmp_path: Path
+) -> None:
+    """Later files win, also over a sensor's."""
+    paths = [written(tmp_path / f"{file}.toml", LAYERS[file]) for file in files]
+    study = load_study(name, paths)
+    assert {field: attrgetter(field)(study) for field in expected} == expected
+    assert "camera.f_number" not in study.sources
 
 
 @pytest.mark.parametrize(
@@ -353,47 +351,6 @@ def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
     assert well_e == pytest.approx(40000 * areas_um2[1] / areas_um2[0], rel=1e-12)
     without_well = study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path)
     assert without_well.pixel.data_sheet_pitch_um is None
-
-
-@pytest.mark.parametrize(
-    ("options", "gain_db", "message"),
-    [
-        # σ of 2.5 e- is 0.85 DN where 12000 e- are 4095: Φ(0.59), and Φ(-0.59) + Φ(-1.76) +
-        # Φ(-2.93) = 0.32 DN.
-        (
-            {},
-            0,
-            (
-                "clips dark noise: 72 % of dark pixels are at 0 DN, which raises the dark mean by"
-                " 0.93 e-"
-            ),
-        ),
-        ({"black_level_dn": 7}, 0, ""),
-        # With offsets: σ is 24.1 e- or 8.2 DN, and the level 0.87 of it; σφ(0.87) - 7.1 Φ(-0.87) =
-        # 0.88 DN.
-        (
-            {"black_level_dn": 7, "offset_fpn": 0.002},
-            *(0, "21 % of dark pixels are at 0 DN, which raises the dark mean by 2.6 e-"),
-        ),
-        ({"black_level_dn": 50, "offset_fpn": 0.002}, 0, ""),
-        ({"offset_fpn": 0.2}, 0, "avoiding this takes more bits (pixel.bits)"),
-        ({"offset_fpn": 0.02}, 20, "avoiding this takes less gain (exposure.gain_db)"),
-        # With reset noise and offsets of a technology.
-        ({"technology": "0.35um"}, 0, "set pixel.black_level_dn = 15 to avoid this"),
-        ({"technology": "0.35um", "black_level_dn": 15}, 0, ""),
-    ],
-)
-def test_low_black_level_gives_note(
-    options: dict[str, object], gain_db: float, message: str
-) -> None:
-    """How notes reach a page, and the terminal: `test_run_notes_reach_score_page_and_json`, and
-    that of studies.
-    """
-    sheet = {"bits": 10} if "technology" in options else tomllib.loads(SHEET)["pixel"]
-    pixel = Pixel.model_validate(sheet | options)
-    dark = dark_clip(Readout.of(derive(pixel)).at(Exposure(gain_db=gain_db)), TIME_S, 1e4)
-    assert clips_dark(dark) == bool(message)
-    assert not message or message in clip_note(dark, pixel.model_dump())
 
 
 # --- The die from its pixels
@@ -486,23 +443,19 @@ def test_content_hash_depends_on_every_field():
     assert len(hashes) == 1 + len(Camera.model_fields)
 
 
-def test_merge_later_values_take_precedence():
-    base = {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
-    over = {"camera": {"f_number": 2.0}, "pixel": {"bits": 12}}
-    assert merge(base, over) == {
-        "camera": {"f_number": 2.0, "die_mm": 2.7},
-        "seed": 1,
-        "pixel": {"bits": 12},
-    }
-    # Neither side is changed; a value replaces a table and a table a value.
-    assert base == {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
-    assert merge({"a": {"b": 1}}, {"a": 2}) == {"a": 2}
-    assert merge({"a": 2}, {"a": {"b": 1}}) == {"a": {"b": 1}}
-
-
-def test_camera_options_over_replaces_given_fields():
-    camera = CameraOptions(f_number=2.0).over(Camera(focal_length_mm=5.0))
-    assert (camera.focal_length_mm, camera.f_number, camera.die_mm) == (5.0, 2.0, Camera().die_mm)
+@pytest.mark.parametrize(
+    ("base", "over", "merged"),
+    [
+        ({"a": {"b": 1, "c": 2}, "d": 1}, {"a": {"b": 3}}, {"a": {"b": 3, "c": 2}, "d": 1}),
+        ({"a": {"b": 1}}, {"c": {"d": 2}}, {"a": {"b": 1}, "c": {"d": 2}}),
+        ({"a": {"b": 1}}, {"a": 2}, {"a": 2}),
+        ({"a": 2}, {"a": {"b": 1}}, {"a": {"b": 1}}),
+    ],
+)
+def test_merge_later_values_take_precedence(base, over, merged):
+    before = deepcopy(base)
+    assert merge(base, over) == merged
+    assert base == before
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,32 @@
-"""The command line: one message for invalid input, complete files for valid input."""
+"""The command line: one message for invalid input, complete files for valid input; stdout and stderr,
+exit codes and verbosity.
+"""
+
+from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers.commands import SIGN_OF_LIFE, assert_refused, command, forked
+from helpers.commands import SIGN_OF_LIFE, assert_refused, command, forked, process
 from helpers.processes import HANG_S
 from matplotlib.image import imread
 
 import pixsim
+from pixsim.base import cache
+from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.light.exr import read_channels
 from pixsim.scene.packaged import packaged_scenes
+from pixsim.studies.settings import Study
+from pixsim.viewer.setting import Run
 
 RUN_FILES = {
     "results.csv", "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json",
@@ -135,7 +147,7 @@ INVALID = {
         "the largest of its file is 31.76 degrees",
     ],
     f"lens phone{' --wavelength-nm 500' * 25}": [
-        "--wavelength-nm: got 25 of them; allowed: at most 24"
+        "--wavelength-nm: got 25 wavelengths; allowed: at most 24"
     ],
     "study chen2000 --quick --uncertainty 8 --smaller-than nan": [
         "--smaller-than: got nan; allowed: a size above 0 µm"
@@ -212,26 +224,6 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def expected_quadrants(count: int) -> np.ndarray:
-    """(count, count) relative luminance: the chart under the thin lens's fall-off, 1 on the axis at
-    texel value 1.
-    """
-    camera = pixsim.Camera()
-    x_mm = ((np.arange(count) + 0.5) / count - 0.5) * camera.die_mm
-    tan_field = np.hypot(*np.meshgrid(x_mm, x_mm)) / camera.image_distance_mm
-    factor = [
-        pixsim.optics.irradiance_factor(camera.f_number, t, camera.magnification)
-        for t in (tan_field, 0.0)
-    ]
-    return np.kron(QUADRANTS, np.ones((count // 2, count // 2))) * factor[0] / factor[1]
-
-
-def away_from_edges(count: int) -> np.ndarray:
-    """Dots at least 1/16 away from all edges, which diffraction and texture interpolation blur."""
-    distance = np.abs((np.arange(count) + 0.5) / count * 2 % 1 - 0.5)
-    return np.logical_and.outer(distance < 3 / 8, distance < 3 / 8)
-
-
 def test_run_json_equals_score_json(picture: Path) -> None:
     score = json.loads((picture / "stdout").read_text(encoding="utf-8"))
     assert score == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
@@ -247,16 +239,26 @@ def test_run_json_equals_score_json(picture: Path) -> None:
 
 
 def test_run_image_png_has_orientation_and_greys(picture: Path) -> None:
-    """Means over the middle of a quadrant, 2304 dots: noise and the curvature of gamma are below
+    """The chart under the thin lens's fall-off, 1 on the axis at texel value 1. Means over the middle of a quadrant, 2304 dots: noise and the curvature of gamma are below
     0.5 %.
     """
-    png = np.pad(
-        imread(picture / "out/image.png")[:, :, 0].astype(float), 1
-    )  # the border of one dot is not shown
-    middles = np.where(away_from_edges(128), 1.0, np.nan)
+    camera = pixsim.Camera()
+    place = (np.arange(128) + 0.5) / 128
+    x_mm = (place - 0.5) * camera.die_mm
+    tan_field = np.hypot(*np.meshgrid(x_mm, x_mm)) / camera.image_distance_mm
+    fall_off, on_axis = (
+        pixsim.optics.irradiance_factor(camera.f_number, field, camera.magnification)
+        for field in (tan_field, 0.0)
+    )
+    luminance = np.kron(QUADRANTS, np.ones((64, 64))) * fall_off / on_axis
+    # At least 1/16 away from all edges, which diffraction and texture interpolation blur.
+    is_middle = np.abs(place * 2 % 1 - 0.5) < 3 / 8
+    middles = np.where(np.logical_and.outer(is_middle, is_middle), 1.0, np.nan)
+    # The border of one dot is not shown.
+    png = np.pad(imread(picture / "out/image.png")[:, :, 0].astype(float), 1)
     means, expected = (
         np.nanmean((middles * image).reshape(2, 64, 2, 64), axis=(1, 3))
-        for image in (png**2.2, expected_quadrants(128))
+        for image in (png**2.2, luminance)
     )
     np.testing.assert_allclose(means, expected, rtol=0.005)
     assert imread(picture / "out/delta_e.png").shape[0] > 128, "a map with axes and colour bar"
@@ -352,3 +354,144 @@ sys.argv = ["pixsim", "--help"]
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=HANG_S
     )
     assert done.stdout.endswith("slow: []\n")
+
+
+# --- In a shell
+# ---------------------------------------------------------------------------------------------------
+
+
+def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.toml", tmp_path / "b c.toml"
+    first.write_text('[pixel]\nbitz = 3\nprnu = 2\n[camera]\nf_number = "wide"\n', encoding="utf-8")
+    second.write_text("[display]\ndots = 1\n[exposur]\n", encoding="utf-8")
+    code, out, err = command(
+        "run csf --pixel.dsnu much --display.gamma 0 --config", first, "--config", second
+    )
+    assert (code, out) == (2, "")
+    expected = [
+        rf"{first}: camera.f_number: got 'wide'; .*",
+        (
+            rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\. In per cent\?"
+            r" Write prnu = 0\.02\."
+        ),
+        r"pixel.dsnu: got 'much'; .*",
+        rf"{first}: pixel.bitz: unknown name; .* Did you mean 'bits'\?",
+        rf"{second}: display.dots: got 1; allowed: greater than or equal to 8\.",
+        r"display.gamma: got '0'; allowed: greater than or equal to 0\.01\.",
+        rf"{second}: exposur: unknown name; .* Did you mean 'exposure'\?",
+    ]
+    lines = err.removeprefix("pixsim: ").splitlines()
+    assert len(lines) == len(expected)
+    assert all(
+        re.fullmatch(pattern, line) for pattern, line in zip(expected, lines, strict=True)
+    ), err
+
+
+@pytest.mark.parametrize(
+    ("failure", "code", "message"),
+    [
+        (
+            RuntimeError("the moon is out"),
+            1,
+            "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose",
+        ),
+        (MemoryError(), 1, "the system is out of memory; use a coarser film (--resolution 512)"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_main_exception_sets_exit_code(
+    failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Codes 0 and 2 are checked in other tests."""
+    monkeypatch.setattr("pixsim.report.commands.run.prepare", Mock(side_effect=failure))
+    found, out, err = command("run csf")
+    assert (found, out) == (code, "")
+    assert err.startswith(f"pixsim: {message}")
+    assert "Traceback" in command("run csf --verbose")[2]
+
+
+def test_cameras_are_listed_with_what_they_are() -> None:
+    cameras = {
+        entry["name"]: entry for entry in json.loads(command("cameras --json")[1])["cameras"]
+    }
+    assert (len(cameras), cameras["Canon_EOS_R5"]["channels"]) == (55, "RGB")
+    assert all(entry["notes"] for entry in cameras.values())
+
+
+def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    cache.store_arrays("render", "a", {"x": np.zeros(1 << 20, np.uint8)})
+    size = sum(entry.size_bytes for entry in cache.entries())
+    assert command("cache")[1].splitlines() == [
+        f"{tmp_path}: 1.0 MiB of 4096.0 MiB",
+        "  render  1 entry  1.0 MiB",
+    ]
+    assert_refused(*command("cache --kind frame"), ["--kind: got 'frame'; allowed: render"])
+    code, out, _ = command("cache --clear --json")
+    assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, size, {})
+
+
+def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
+    # Brighter than display white, which gives a warning.
+    line = (
+        f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10 --out"
+        f" {tmp_path / 'out'}"
+    )
+    code, plain, err = forked(f"{line} --json")
+    assert code == 0, err
+    assert json.loads(plain)["pitch_um"] == 6.5
+    assert "warning: " in err
+    code, out, err = command(f"{line} --json --quiet")
+    assert (code, out) == (0, plain)
+    assert [words for words in err.splitlines() if "warning: " not in words] == [], (
+        "quiet: only what makes a number doubtful"
+    )
+    code, out, err = command(f"-v {line}")
+    assert code == 0
+    assert re.search(r"^render: \d+\.\d\d s$", err, re.MULTILINE)
+    assert out.startswith("mean ΔE")
+
+
+def test_output_without_terminal_has_no_colours() -> None:
+    assert command("--version") == (0, f"{pixsim.__version__}\n", "")
+    done = process("run nothing", FORCE_COLOR="", TERM="xterm-256color")
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_completion_prints_valid_script() -> None:
+    """The shells differ in Cyclopts alone; `__complete` asks for names of scenes and files."""
+    code, out, _ = command("completion bash")
+    assert code == 0
+    assert {"run", "study", "pixsim", "__complete"} <= {*re.findall(r"\w+", out)}
+    if program := shutil.which("bash"):
+        subprocess.run(
+            [program, "-n"], input=out, text=True, check=True, capture_output=True, timeout=HANG_S
+        )
+
+
+def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
+    home, here, kept, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
+    for folder in (home, here):
+        folder.mkdir()
+    environment = {
+        name: None for name in os.environ if name.startswith(("XDG_", "DRJIT_CACHE", "MPLCONFIG"))
+    }
+    environment |= {"HOME": str(home), "TMPDIR": str(here), FOLDER_VARIABLE: str(kept)}
+    for variable, name in (
+        ("MPLCONFIGDIR", "matplotlib"),
+        ("DRJIT_CACHE_DIR", "kernels"),
+    ):  # new ones take seconds
+        shutil.copytree(os.environ[variable], kept / name)
+    done = process(f"run csf {SMALL} --out {out}", folder=here, **environment)
+    assert done.returncode == 0, done.stderr
+    assert list(home.rglob("*")) == []
+    assert list(here.rglob("*")) == [], "temporary files remain"
+    assert {path.name for path in kept.iterdir()} > {"kernels", "matplotlib"}
+
+
+def test_first_settings_of_a_reader_are_valid() -> None:
+    page = (Path(__file__).parents[2] / "docs/first_sensor.md").read_text(encoding="utf-8")
+    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)]
+    assert tables
+    for table in tables:
+        (Study if "name" in table else Run).model_validate(table)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import re
+import sys
+from collections.abc import Callable
 from copy import copy
 from functools import cache
 from pathlib import Path
@@ -11,17 +14,22 @@ from typing import Any
 import pytest
 from cyclopts import Argument, CoercionError, Token
 from helpers.commands import assert_refused, command
+from pydantic import BaseModel
 from rich.console import Console
 
+import pixsim
+from pixsim.base.caller import OPTIONS
 from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
 from pixsim.base.records import Record, as_list, checked
+from pixsim.base.result import Result
 from pixsim.base.toml import packaged
 from pixsim.cli.commands import app
 from pixsim.cli.help import COMMON, MIN_SHORTENED
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.studies.settings import Study
 from pixsim.viewer.metric_options import Niirs
 from pixsim.viewer.setting import Run
 
@@ -102,17 +110,13 @@ def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:
         checked(Motion, [file, Layer({"velocity_mm_per_s": "300"})])
 
 
-def options_of_several_values() -> list[tuple[str, Argument]]:
-    """Every option of every command that may be repeated, with the name of the command."""
-    return [
-        (name, argument)
-        for name in NAMES
-        for argument in app[name].assemble_argument_collection()
-        if argument.parse and argument.index is None and argument.token_count()[1]
-    ]
-
-
-SEVERAL = options_of_several_values()
+# Every option of every command that may be repeated, with the name of the command.
+SEVERAL = [
+    (name, argument)
+    for name in NAMES
+    for argument in app[name].assemble_argument_collection()
+    if argument.parse and argument.index is None and argument.token_count()[1]
+]
 OPTION_IDS = [f"{name} {argument.names[0]}" for name, argument in SEVERAL]
 
 
@@ -228,34 +232,39 @@ def test_refused_command_line_says_where_its_word_belongs(line: str, words: str)
 # --- Completion ---
 
 
-def completed(*words: str) -> set[str]:
-    """What the shell's script is told at the last word."""
-    code, out, err = command("__complete", *words)
-    assert code == 0, err
-    return {line.split("\t")[0] for line in out.split("\x1fbegin\n", 1)[1].splitlines()}
+STUDIES, TECHNOLOGIES, SENSORS = (
+    set(packaged(f"data/{kind}")) for kind in ("studies", "technologies", "sensors")
+)
+INTERPOLATIONS = {"linear", "nearest", "cubic"}
 
 
-def test_completion_knows_scenes_studies_technologies_and_choices(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("words", "offered", "others"),
+    [
+        ("run", {*packaged_scenes(), "mine.xml", "folder/"}, {"mine.toml"}),
+        ("study", STUDIES | {"mine.toml", "folder/"}, {"mine.xml"}),
+        ("study folder/", {"folder/other.toml"}, {"mine.toml"}),
+        ("study gone/", STUDIES, {"mine.toml"}),
+        ("datasheet", TECHNOLOGIES | SENSORS | {"mine.toml"}, {"mine.xml"}),
+        ("run csf --config", SENSORS | {"mine.toml"}, {"mine.xml"}),
+        ("lens", {*packaged("data/lenses"), "mine.toml"}, {"mine.xml"}),
+        ("run csf --pixel.technology", TECHNOLOGIES | {"none"}, {"mine.xml"}),
+        ("run csf --display.interpolation", INTERPOLATIONS, {"mine.toml", "mine.xml", "folder/"}),
+    ],
+)
+def test_completion_knows_files_and_choices(
+    words: str, offered: set[str], others: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """At the last word, which may have begun."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
     for name in ("mine.xml", "mine.toml", "folder/other.toml"):
         (tmp_path / name).touch()
-    studies, technologies, sensors = (
-        set(packaged(f"data/{kind}")) for kind in ("studies", "technologies", "sensors")
-    )
-    scenes = completed("run", "")
-    assert {*packaged_scenes(), "mine.xml", "folder/"} <= scenes
-    assert "mine.toml" not in scenes
-    assert studies | {"mine.toml", "folder/"} <= completed("study", "")
-    assert "folder/other.toml" in completed("study", "folder/")
-    assert completed("study", "gone/") == studies
-    assert technologies | sensors | {"mine.toml"} <= completed("datasheet", "")
-    assert sensors | {"mine.toml"} <= completed("run", "csf", "--config", "")
-    assert {*packaged("data/lenses"), "mine.toml"} <= completed("lens", "")
-    assert technologies | {"none"} <= completed("run", "csf", "--pixel.technology", "")
-    assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}
+    code, out, err = command("__complete", *words.split(), *([] if words.endswith("/") else [""]))
+    assert code == 0, err
+    answers = {line.split("\t")[0] for line in out.split("\x1fbegin\n", 1)[1].splitlines()}
+    assert answers >= offered
+    assert not answers & others
 
 
 # --- Missing folders ---
@@ -286,3 +295,77 @@ def test_command_missing_folder_is_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "here").mkdir()
     assert_refused(*command(line), [f"folder '{folder}' does not exist"])
+
+
+# --- Every option of a command has its Python form: an argument of the same name of the function of
+# the command's name
+# ---------------------------------------------------------------------------------------------------
+
+# Command -> its function, and the record whose fields it takes as further keywords.
+FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
+    "run": (pixsim.run, Run),
+    "study": (pixsim.study, Study),
+    "compare": (pixsim.compare, Study),
+    "datasheet": (pixsim.datasheet, None),
+    "accuracy": (pixsim.accuracy, None),
+    "sfr": (pixsim.sfr, None),
+    "lens": (pixsim.lens, None),
+}
+# Options whose argument has another name: -D name=value and --linear are entries of `parameters`.
+RENAMED = {option.replace("-", "_"): name for name, option in OPTIONS.items()}
+RENAMED |= {"define": "parameters", "linear": "parameters", "assets": "parameters", "yes": "agreed"}
+FOR_THE_TERMINAL = {
+    "json": "the result has `as_dict`",
+    "out": "the result is written where one likes, by `write`; tested below",
+    "raw": "`pixsim.write_frame` writes the frame of `result.score` in any of its formats",
+    "irradiance": (
+        "`pixsim.write_exr` writes `result.irradiance`, or what its `box_reduced` returns"
+    ),
+    "figures": "an argument of `write`",
+    "dry_run": "tells a person what a command would take, before it begins",
+}
+
+
+def options_of(command: str) -> set[str]:
+    """Names of the options of a command, of tables that of the table, as arguments of a function
+    have them.
+    """
+    arguments = [
+        argument
+        for argument in app[command].assemble_argument_collection()
+        if argument.field_info.kind is inspect.Parameter.KEYWORD_ONLY
+    ]
+    words = (
+        next(
+            (word for word in argument.names if word.startswith("--") and word[:8] != "--empty-"),
+            "",
+        )
+        for argument in arguments
+    )
+    return {word.removeprefix("--").partition(".")[0].replace("-", "_") for word in words if word}
+
+
+@pytest.mark.parametrize("command", FUNCTIONS)
+def test_every_option_has_an_argument_of_its_name(command: str) -> None:
+    function, record = FUNCTIONS[command]
+    names = {*inspect.signature(function).parameters, *(record.model_fields if record else ())}
+    options = options_of(command)
+    assert len(options) > 5
+    missing = {
+        option for option in options - names if RENAMED.get(option) not in names
+    } - FOR_THE_TERMINAL.keys()
+    assert not missing
+
+
+@pytest.mark.parametrize("command", FUNCTIONS)
+def test_every_result_can_be_shown_and_written(command: str) -> None:
+    function = inspect.unwrap(FUNCTIONS[command][0])
+    for name in function.__annotations__["return"].split(" | "):
+        kind = vars(sys.modules[function.__module__])[name]
+        assert issubclass(kind, Result)
+        assert kind.__name__ in pixsim.PRESENTERS
+
+
+def test_exceptions_are_needed() -> None:
+    options = set().union(*map(options_of, FUNCTIONS))
+    assert {*RENAMED, *FOR_THE_TERMINAL} <= options
