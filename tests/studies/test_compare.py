@@ -61,8 +61,11 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     """A sensor, a copy of its file, and one with ten times the read noise, in dim light."""
     folder = tmp_path_factory.mktemp("noisy")
     (folder / "other").mkdir()
-    files = [sheet(folder / "a.toml"), sheet(folder / "other/a.toml")]
-    files.append(sheet(folder / "noisy.toml", 30.0))
+    files = [
+        sheet(folder / "a.toml"),
+        sheet(folder / "other/a.toml"),
+        sheet(folder / "noisy.toml", 30.0),
+    ]
     return pixsim.compare(files, parameters=DIM, repeats=8, noise_budget=True, **SMALL)
 
 

@@ -30,7 +30,6 @@ from pixsim.viewer.score import FrameScore
 from pixsim.viewer.setting import Run
 
 DIE_UM = 2700.0
-BRIGHT: dict[str, Any] = {"display": {"white_cd_per_m2": 5000.0}}
 study = partial(study_of, jobs=1)
 
 
@@ -76,7 +75,13 @@ def test_settings_of_a_study_of_given_light_make_its_rows_again(folder: Path) ->
     """Rows of one light are not taken for those of another, whose header says the same."""
     light, other_light = (light_of(seed, DIE_UM) for seed in (1, 2))
     camera = Camera(die_mm=1e-3 * DIE_UM, f_number=5.6)
-    first = study(folder / "small.toml", folder / "a", light=light, camera=camera, **BRIGHT)
+    first = study(
+        folder / "small.toml",
+        folder / "a",
+        light=light,
+        camera=camera,
+        display={"white_cd_per_m2": 5000.0},
+    )
     settings = folder / "settings.toml"
     settings.write_text(first.settings_toml)
     study(settings, folder / "again", light=light)
