@@ -1,16 +1,18 @@
-"""Bands and pulses: lines are conserved, wavelengths are not random, and reported errors are the
-real ones.
+"""Bands, pulses and passes: lines are conserved, wavelengths are not random, reported errors are the
+real ones, and passes that are traced together are each of them.
 """
 
-from __future__ import annotations
-
-from itertools import pairwise
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.edits import FOLDER, VARIANTS
+from helpers.edits import END, FOLDER, NEEDS_LLVM, VARIANTS, edited
 
+import pixsim
 from pixsim.light.spectral import (
     STEPS_NM,
     VISIBLE,
@@ -30,12 +32,16 @@ from pixsim.scene.bands import (
     band_edges_nm,
     every_band,
     fit,
+    passes,
     place_bands,
+    window_pulse,
 )
-from pixsim.scene.mitsuba import mitsuba_session
-from pixsim.scene.renderer import film, film_response
+from pixsim.scene.guard.in_process import InProcessTracer, _stratified_places
+from pixsim.scene.job import TraceJob
+from pixsim.scene.mitsuba import import_mitsuba, mitsuba_session, parse
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.renderer import Renderer, film, film_response, shared_passes
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 
 SPECTRA = FOLDER / "spectra"
 STEP_NM = 0.01  # each table is linear over cells of this width, or nearly: 1e-6 of any integral
@@ -58,7 +64,7 @@ def line(centre_nm: float, width_nm: float = 1.0) -> Spectrum:
 
 
 def electrons(technology: str) -> Response:
-    physics = derive(Pixel(technology=technology, pitch_um=10.0))
+    physics = derive(pixsim.Pixel(technology=technology, pitch_um=10.0))
     return lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
 
 
@@ -70,8 +76,10 @@ def red(nm: np.ndarray) -> np.ndarray:
     return 0.05 + 1 / (1 + np.exp((600 - nm) / 5))
 
 
-RESPONSES = [electrons("0.35um"), electrons("4t-bsi"), photopic_efficiency, ramp, red]
-DETECTORS = [Detector(response) for response in RESPONSES]
+DETECTORS = [
+    Detector(response)
+    for response in [electrons("0.35um"), electrons("4t-bsi"), photopic_efficiency, ramp, red]
+]
 # Responses above zero at all wavelengths, so that no line is invisible.
 SEEING = [
     ramp,
@@ -88,11 +96,6 @@ MACBETH = np.array(
 
 def fine(lamp: Spectrum) -> np.ndarray:
     return np.interp(FINE_NM, lamp.nodes_nm, lamp.values, left=0, right=0)
-
-
-def fine_surfaces(surfaces: np.ndarray) -> np.ndarray:
-    """Return a neutral surface and others, (1 + n, fine)."""
-    return np.array([np.interp(FINE_NM, grid_nm(), row) for row in (np.ones(471), *surfaces)])
 
 
 def exact_integral(lamp: Spectrum, low: float, high: float) -> float:
@@ -149,30 +152,23 @@ BAND_LAMPS = {f"{nm} nm, {width} nm": line(nm, width) for nm in LINES_NM for wid
 BAND_LAMPS |= {name: packaged(name) for name in ("fl11", "led_b3", "laser_532nm", "d65", "a")}
 
 
-def check_conserved(lamp: Spectrum, bands: Bands, responses: list[Response]) -> None:
-    """Check the energy of the bands, and each response's signal to 1e-3: band centres in place of
-    a line would be 1e-2 off.
-    """
-    energy = (every_band(lamp, bands).spectra * bands.width_nm).sum(axis=0)
-    # A line's nodes are rounded to 1e-13 nm.
-    assert energy.sum() == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-11)
-    for response in responses:
-        expected = (fine(lamp) * response(FINE_NM)).sum() * STEP_NM
-        assert (energy * bands.mean(response)).sum() == pytest.approx(expected, rel=1e-3)
-
-
 @pytest.mark.parametrize("name", BAND_LAMPS)
 def test_bands_conserve_energy_and_signals(name: str) -> None:
-    lamp = BAND_LAMPS[name]
+    """Each response's signal to 1e-3: band centres in place of a line would be 1e-2 off."""
+    lamp, light = BAND_LAMPS[name], fine(BAND_LAMPS[name])
     bands = place_bands([lamp], NONE, [Detector(response) for response in SEEING], TOLERANCE)
-    check_conserved(lamp, bands, SEEING)
+    every = every_band(lamp, bands)
+    energies = every.spectra * bands.width_nm
+    # A line's nodes are rounded to 1e-13 nm.
+    assert energies.sum() == pytest.approx(exact_integral(lamp, 360, 830), rel=1e-11)
+    for response in SEEING:
+        expected = (light * response(FINE_NM)).sum() * STEP_NM
+        assert (energies @ bands.mean(response)).sum() == pytest.approx(expected, rel=1e-3)
 
     # The pulses are where the light is, to a quarter of their step; at the ends of what Mitsuba
     # samples flanks of two steps need room.
-    every = every_band(lamp, bands)
-    energy = (every.spectra * bands.width_nm).sum(axis=1)
+    energy = energies.sum(axis=1)
     centroids_nm = [pulse.nodes_nm @ pulse.values / pulse.values.sum() for pulse in every.pulses]
-    light = fine(lamp)
     centroid_nm = (light * FINE_NM).sum() / light.sum()
     is_at_end = min(centroid_nm - 360, 830 - centroid_nm) < 4 * lamp.step_nm
     reach_nm = (2.25 if is_at_end else 0.25) * lamp.step_nm
@@ -274,21 +270,13 @@ def fitted(lamp: Spectrum, surfaces: np.ndarray, tolerance: float) -> tuple[Fit,
     return result, bands
 
 
-def fitted_bands(result: Fit, factors: np.ndarray, nm: np.ndarray = FINE_NM) -> np.ndarray:
-    """Return the light of surfaces (n, fine) in each band, from the pulses."""
-    pulses = np.array(
-        [np.interp(nm, pulse.nodes_nm, pulse.values, left=0, right=0) for pulse in result.pulses]
-    )
-    return np.asarray(factors @ pulses.T * (nm[1] - nm[0]) @ result.spectra)
-
-
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
 @pytest.mark.parametrize(("name", "surfaces"), FITS, ids=[name for name, _ in FITS])
 def test_reported_error_of_a_fit_is_the_real_one(
     name: str, surfaces: np.ndarray, tolerance: float
 ) -> None:
-    """Signals and bands of each surface, and of sums of them, against integrals in steps of
-    0.01 nm.
+    """Signals and bands of each surface, a neutral one first, and of sums of them, against
+    integrals in steps of 0.01 nm.
     """
     lamp = packaged(name)
     result, bands = fitted(lamp, surfaces, tolerance)
@@ -296,17 +284,16 @@ def test_reported_error_of_a_fit_is_the_real_one(
     assert result.error <= tolerance * 0.8
     assert result.spectra.min() < 0 or len(result.pulses) == 1
 
-    mixtures = RNG.dirichlet(np.full(len(surfaces) + 1, 0.3), 30)
-    factors = fine_surfaces(surfaces)
+    factors = np.array([np.interp(FINE_NM, grid_nm(), row) for row in (np.ones(471), *surfaces)])
+    mixtures = RNG.dirichlet(np.full(len(factors), 0.3), 30)
     light = np.vstack([factors, mixtures @ factors])
-    bands_light = fitted_bands(result, light)
-    errors = []
-    for detector in DETECTORS:
-        signals = bands_light @ (bands.width_nm * bands.mean(detector.response))
-        expected = light @ (fine(lamp) * detector.response(FINE_NM)) * STEP_NM
-        errors.append(np.abs(signals / expected - 1))
+    pulses = [np.interp(FINE_NM, p.nodes_nm, p.values, left=0, right=0) for p in result.pulses]
+    bands_light = light @ np.transpose(pulses) * STEP_NM @ result.spectra
+    weights = np.array([detector.response(FINE_NM) for detector in DETECTORS])
+    band_weights = [bands.width_nm * bands.mean(detector.response) for detector in DETECTORS]
+    expected = light @ (fine(lamp) * weights).T * STEP_NM
     # Two-sided: 5 % for a pulse as Mitsuba integrates it, straight between its nodes.
-    worst = np.max(errors, axis=0)
+    worst = np.abs(bands_light @ np.transpose(band_weights) / expected - 1).max(axis=1)
     assert worst[: len(factors)].max() == pytest.approx(result.error, rel=0.05, abs=1e-5)
     assert worst[len(factors) :].max() <= 1.05 * result.error + 1e-5
 
@@ -369,3 +356,136 @@ def test_pulses_of_a_pass_add_no_spectral_noise(variant: str) -> None:
     assert picture.std(axis=(0, 1)).max() < 1e-5
     adjoining = furnace(variant, list(every_band(packaged("fl11"), bands).pulses[10:15]))
     assert adjoining.std(axis=(0, 1)).max() > 1e-2
+
+
+LLVM = "llvm_ad_spectral"
+LARGE = (
+    1000  # operations of a kernel: a path takes 1700 here and more, what surrounds it less than 100
+)
+
+
+def job_of(scene: Path | str, seed: int = 0, spp: int = 4, **parameters: Any) -> Renderer:
+    loaded = pixsim.load_scene(scene, variant=LLVM, resolution=(8), **parameters)
+    plan = make_render_plan(loaded, pixel=pixsim.Pixel())
+    job = Renderer(
+        loaded, loaded.camera(), replace(plan, samples=replace(plan.samples, spp=spp)), seed
+    )
+    job.tracer = InProcessTracer(job.job)  # a child has kernels of its own
+    return job
+
+
+def large_kernels(job: Renderer, runs: int, levels: int) -> list[str]:
+    """Hashes of the large kernels of some runs, whether they are compiled, or found in memory or on
+    the disk.
+    """
+    dr = pytest.importorskip("drjit")
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        for level, index in product(range(levels), range(runs)):
+            job.run(index, level=level)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    return [str(kernel["hash"]) for kernel in kernels if kernel["operation_count"] > LARGE]
+
+
+@pytest.fixture(scope="module")
+def import_first() -> None:
+    import_mitsuba(LLVM)
+
+
+SECOND = """<emitter type="point"><point name="position" x="0" y="1" z="0"/>
+    <spectrum name="intensity" filename="spectra/led_b3.spd"/></emitter>"""
+
+
+@pytest.fixture
+def two_lights(tmp_path: Path) -> Path:
+    """Patches under two lamps, whose kernels compile in a moment."""
+    lamp = '<default name="lamp" value="spectra/d65.spd"/>'
+    return edited(tmp_path, "macbeth", (lamp, lamp.replace("d65", "fl11")), (END, SECOND))
+
+
+@NEEDS_LLVM
+def test_light_and_level_compile_one_large_kernel(import_first: None, two_lights: Path) -> None:
+    """One launch for all passes; a second renderer compiles none."""
+    first = job_of(two_lights)
+    assert (len(first.plan.light.lamps), first.plan.light.passes) == (2, 7)
+    launched = large_kernels(first, runs=2, levels=2)
+    assert (len(launched), len(set(launched))) == (2 * 2 * 2, 2 * 2)
+    assert set(large_kernels(job_of(two_lights, seed=1), 1, 2)) <= set(launched)
+
+
+@cache
+def tracer_of(
+    scale: float, offset: float, sizes: tuple[int, int], plugin: str = "path"
+) -> tuple[InProcessTracer, Fit]:
+    """Radiance offset + scale · (λ - 360 nm) everywhere, seen through pulses of a lamp with a line
+    and a slope.
+    """
+    lamp = Spectrum(
+        np.array([360.0, 545.8, 546.1, 546.4, 830.0]), np.array([1.0, 2.0, 40.0, 2.0, 3.0])
+    )
+    cuts = np.linspace(360, 830, 10)
+    pulses = tuple(window_pulse(lamp, low, high, inside=True) for low, high in pairwise(cuts))
+    fit = Fit(pulses, np.eye(9), [*passes(9), [0], [4, 7]])
+    text = f"""<scene version="3.0.0"><sensor type="perspective"/><emitter type="constant"><spectrum name="radiance"
+        value="360:{offset}, 830:{offset + 470 * scale}"/></emitter></scene>"""
+    sensor = next(
+        index for index, node in enumerate(parse(text, LLVM).nodes) if node.type.name == "Sensor"
+    )
+    lens, integrator = {"type": "perspective", "fov": 20.0}, {"type": plugin, "max_depth": 2}
+    return (
+        InProcessTracer(
+            TraceJob(
+                LLVM, text, (None,), sensor, lens, integrator, (), sizes, (shared_passes(fit),)
+            )
+        ),
+        fit,
+    )
+
+
+@NEEDS_LLVM
+@pytest.mark.parametrize("plugin", ["path", "prb"])
+def test_pulses_are_sampled_as_they_are(plugin: str, import_first: None) -> None:
+    # The mean wavelength under each pulse is its centroid, whatever its shape, to five standard
+    # errors (9 pulses exceed them once in 200 000 times) and float32; a shift by a step of 0.03 to
+    # 0.1 nm would be seen.
+    traced, fit = tracer_of(1.0, 0.0, (40, 40), plugin)
+    light = traced.trace_together(0, (0, 40), "multijitter", 64, 3).reshape(1600, -1).astype(float)
+    error_nm = light.std(axis=0) / np.sqrt(len(light))
+    assert error_nm.max() < 0.02
+    grids = [grid_nm(pulse.step_nm) for pulse in fit.pulses]
+    centroids_nm = [
+        pulse.mean(nm, pulse.step_nm) for pulse, nm in zip(fit.pulses, grids, strict=True)
+    ]
+    miss_nm = np.abs(360 + light.mean(axis=0) - centroids_nm)
+    np.testing.assert_array_less(miss_nm, 5 * error_nm + 1e-3)
+
+
+@NEEDS_LLVM
+@pytest.mark.parametrize(("spp", "count"), [(4, 12), (16, 5), (15, 3), (7, 2)])
+def test_places_are_stratified_in_a_pass_and_over_all(
+    spp: int, count: int, import_first: None
+) -> None:
+    """All passes have one in each row and column together, each pass one in each of fewer, and one
+    in each part of the cell.
+    """
+    mi = import_mitsuba(LLVM)
+    numbers = np.meshgrid(range(spp), range(count))
+    number, group = (mi.UInt32(part.ravel().astype(np.uint32)) for part in numbers)
+    draws = mi.PCG32(spp * count)
+    places = _stratified_places(
+        mi,
+        number=number,
+        spp=spp,
+        group=group,
+        count=count,
+        cell=mi.UInt32(5),
+        seed=mi.UInt32(1),
+        jitter=mi.Point2f(draws.next_float32(), draws.next_float32()),
+    )
+    x, y = (np.array(axis, float).reshape(count, spp) for axis in places)
+    for axis in (x, y):
+        assert sorted(np.floor(axis.ravel() * spp * count)) == list(range(spp * count))
+        np.testing.assert_array_equal(np.sort(np.floor(axis * spp)), [np.arange(spp)] * count)
+    rows = max(rows for rows in range(1, spp) if spp % rows == 0 and rows**2 <= spp)
+    parts = np.floor(y * rows) * (spp // rows) + np.floor(x * (spp // rows))
+    np.testing.assert_array_equal(np.sort(parts), [np.arange(spp)] * count)

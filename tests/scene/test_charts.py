@@ -1,17 +1,16 @@
-"""Charts against their definitions: the packaged ones, a user's picture, and the CSF chart in
-colour.
+"""Charts and targets: the packaged ones against their definitions, a user's picture, the CSF chart in
+colour, and the light of targets in closed form.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import colour
 import numpy as np
 import pytest
-from helpers.edits import load
+from helpers.edits import edited, load
 from helpers.tiff import tiff
 from PIL import Image
 
@@ -32,6 +31,9 @@ from pixsim.scene.colour_chart import (
 )
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.own_chart import GREY, read_luminance, with_border
+from pixsim.scene.plan import make_render_plan
+from pixsim.scene.scene import Scene
+from pixsim.scene.target import Target, disc_cover
 from pixsim.scene.variants import variant
 from pixsim.viewer.develop import xyz_weights
 from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
@@ -42,30 +44,30 @@ SHIPPED = Path(__file__).parents[2] / "scenes" / "charts"
 # --- Packaged charts ---
 
 
+def frequencies_lp_per_mm(x: np.ndarray, wave: np.ndarray, die_mm: float) -> tuple[np.ndarray, ...]:
+    """Return half a cycle between neighbouring zeros as frequencies, and the places between."""
+    before = np.flatnonzero(np.diff(np.sign(wave)))
+    zeros = x[before] + np.diff(x)[before] * wave[before] / (wave[before] - wave[before + 1])
+    return 0.5 / (np.diff(zeros) * die_mm), (zeros[1:] + zeros[:-1]) / 2
+
+
 @pytest.mark.parametrize("die_mm", [2.7136, 5.0])
 def test_csf_value_phase_derivative_is_frequency(die_mm):
-    x = np.linspace(0, 1, 400_001)
-    wave = charts.csf_value(x, 1.0, die_mm) - 0.5125
-    before = np.flatnonzero(np.diff(np.sign(wave[1:]))) + 1
-    zeros = x[before] + np.diff(x)[before] * wave[before] / (wave[before] - wave[before + 1])
-    # Half a cycle between neighbouring zeros.
-    result = 0.5 / (np.diff(zeros) * die_mm)
-    middle = (zeros[1:] + zeros[:-1]) / 2
+    x = np.linspace(0, 1, 400_001)[1:]
+    result, middle = frequencies_lp_per_mm(x, charts.csf_value(x, 1.0, die_mm) - 0.5125, die_mm)
     # f(middle) is the mean of an exponential but for (3.5 Δx)²/24, 1.2 % in the first half cycle,
     # 1e-5 in the last.
-    bound = (np.log(1000 / 30) * np.diff(zeros)) ** 2 / 24 + 1e-5
+    bound = (np.log(1000 / 30) * 0.5 / (result * die_mm)) ** 2 / 24 + 1e-5
     assert result.size > 48 * die_mm / 2.7136
     assert np.all(np.abs(result / charts.csf_frequency_lp_per_mm(middle) - 1) < 1.1 * bound)
 
 
 def test_csf_contrast_and_luminance_match_paper():
-    top, bottom = (charts.csf_value(np.linspace(0, 1, 200_001), y) * 1000 for y in (0.0, 1.0))
     # 25 to 1000 cd/m², mean 512.5, largest Michelson contrast 975/1025; 1 % of it on top.
-    assert (bottom.min(), bottom.max()) == pytest.approx((25, 1000), abs=1e-4)
-    assert (top.min() + top.max()) / 2 == pytest.approx(512.5, abs=1e-4)
-    assert np.ptp(bottom) / (bottom.max() + bottom.min()) == pytest.approx(0.951, abs=5e-4)
-    assert np.ptp(top) / np.ptp(bottom) == pytest.approx(0.01, rel=1e-6)
-    assert charts.csf_contrast(0.5) == pytest.approx(0.1 * 975 / 1025, rel=1e-12)
+    for y, amplitude in ((0.0, 4.875), (0.5, 48.75), (1.0, 487.5)):
+        row = charts.csf_value(np.linspace(0, 1, 200_001), y) * 1000
+        expected = pytest.approx((512.5 - amplitude, 512.5 + amplitude), abs=1e-4)
+        assert (row.min(), row.max()) == expected
 
 
 @pytest.mark.parametrize(("highest_lp_per_mm", "die_mm"), [(100.0, 5.0), (20.0, 36.0)])
@@ -76,47 +78,41 @@ def test_csf_file_begins_at_2_7_cycles_and_ends_at_its_frequency(
     path = charts.csf_file(highest_lp_per_mm, die_mm)
     assert charts.csf_file(highest_lp_per_mm, die_mm) == path, "the same content has the same file"
     assert list(tmp_path.rglob("*.exr")) == [path]
-    texels = next(iter(read_channels(path)[0].values())).astype(float)
+    (texels,) = read_channels(path)[0].values()
     width = texels.shape[1]
-    assert 8192 <= width <= 32768
-    assert width >= min(32 * highest_lp_per_mm * die_mm, 32768) - 1
-    wave = texels[-1] - 0.5125
-    before = np.flatnonzero(np.diff(np.sign(wave)))
-    zeros = (before + 0.5 + wave[before] / (wave[before] - wave[before + 1])) / width
-    x, frequency = (zeros[1:] + zeros[:-1]) / 2, 0.5 / np.diff(zeros) / die_mm
+    assert min(max(8192, 32 * highest_lp_per_mm * die_mm - 1), 32767) <= width <= 32768
     header = {"scene": "csf.xml", "parameters": {"max_lp_per_mm": repr(highest_lp_per_mm)}}
     expected = charts.csf_frequency_on_sensor(header, die_mm)
     assert expected([0.0, 1.0]) == pytest.approx([2.7136 / die_mm, highest_lp_per_mm], rel=1e-12)
+    places = (np.arange(width) + 0.5) / width
+    wave = texels[-1].astype(float) - 0.5125
+    frequency, x = frequencies_lp_per_mm(places, wave, die_mm)
     # Half cycles from linear zeros of texels: 1 % where a cycle has 26 of them, and of curvature in
     # the long first ones.
     assert np.abs(frequency[3:] / expected(x[3:]) - 1).max() < 0.01
 
 
 def test_slanted_edge_is_5_degrees():
-    texels = charts.slanted_edge(400, 400)
+    texels = charts.slanted_edge(400, 400).astype(float)
     # Where the edge crosses each row, from the row's dark area; coverage is counted in 8 × 8
     # points: 1/16 texel.
-    crossing = 400 * (1 - (texels.astype(float) - 0.1).mean(axis=1) / 0.9)
+    crossing = 400 * (1 - (texels - 0.1).mean(axis=1) / 0.9)
     slope, _ = np.polyfit(np.arange(400), crossing, 1)
     assert np.degrees(np.arctan(-slope)) == pytest.approx(5.0, abs=0.01)
     assert crossing.mean() == pytest.approx(200, abs=0.1)
+    # One edge only, from dark to bright: every row rises all the way.
     assert (texels[200, 0], texels[200, -1]) == pytest.approx((0.1, 1.0))
-    # One edge only: every row rises all the way.
     assert np.diff(texels, axis=1).min() >= 0
 
 
 def test_siemens_star_has_72_cycles():
     texels = read_channels(SHIPPED / "siemens_star.exr")[0]["Y"]
     angle = np.radians(np.arange(0, 360, 0.05) + 0.02)
-    row, column = (
-        np.floor(512 - 400 * np.sin(angle)).astype(int),
-        np.floor(512 + 400 * np.cos(angle)).astype(int),
-    )
-    bright = texels[row, column] > 0.5125
+    place = np.floor([512 - 400 * np.sin(angle), 512 + 400 * np.cos(angle)]).astype(int)
+    bright = texels[tuple(place)] > 0.5125
     assert np.count_nonzero(bright != np.roll(bright, 1)) == 2 * 72
     # The first sector above the positive x axis is bright.
-    assert texels[511 - 10, 512 + 400] == 1.0
-    assert texels[512 + 10, 512 + 400] == pytest.approx(0.025)
+    assert (texels[502, 912], texels[522, 912]) == pytest.approx((1.0, 0.025))
 
 
 SLOW_CHARTS = {"siemens_star": pytest.mark.slow}  # 64 points for each of a million texels
@@ -142,9 +138,10 @@ def test_texture_without_a_cache_is_temporary(monkeypatch: pytest.MonkeyPatch) -
 
 RGB = np.random.default_rng(1).integers(0, 65536, (20, 30, 3)).astype(np.uint16)
 EIGHT = (RGB >> 8).astype(np.uint8)
-OPAQUE = np.dstack([EIGHT, np.full((20, 30), 255, np.uint8)])
 LIGHT = (RGB / 6e4).astype(np.float32)
 PALETTE = np.array([[[0, 0, 0], [200, 30, 10]], [[255, 255, 255], [10, 200, 90]]], np.uint8)
+
+
 WEIGHTS = np.array([0.2126, 0.7152, 0.0722])  # Rec. ITU-R BT.709-6
 
 
@@ -153,58 +150,57 @@ def decoded(values: np.ndarray) -> np.ndarray:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-def by_pillow(path: Path, values: np.ndarray) -> None:
-    Image.fromarray(values).save(path)
-
-
-def by_palette(path: Path, values: np.ndarray) -> None:
+# suffix, writer, what it writes, and the error of the format: RGBE has 8 bits of the largest
+def write_palette(path: Path, values: np.ndarray) -> None:
     Image.fromarray(values).convert("P", palette=Image.Palette.ADAPTIVE).save(path)
 
 
-def by_mitsuba(path: Path, values: np.ndarray) -> None:
+def write_by_mitsuba(path: Path, values: np.ndarray) -> None:
     mi = import_mitsuba(variant.choose().variant)
     mi.Bitmap(np.ascontiguousarray(values)).write(str(path))
 
 
-def by_pixsim(path: Path, values: np.ndarray) -> None:
-    write_channels(path, {name: values[:, :, index] for index, name in enumerate("RGB")}, {})
+def write_exr_channels(path: Path, values: np.ndarray) -> None:
+    """A grey picture has a channel of depth, too."""
+    planes = [values, values] if values.ndim == 2 else np.moveaxis(values, 2, 0)
+    names = ("Y", "depth") if values.ndim == 2 else "RGB"
+    write_channels(path, dict(zip(names, planes, strict=True)), {})
 
 
-def grey_by_pixsim(path: Path, values: np.ndarray) -> None:
-    write_channels(path, {"Y": values, "depth": values}, {})
+WRITERS: dict[str, Callable[[Path, np.ndarray], None]] = {
+    "Pillow": lambda path, values: Image.fromarray(values).save(path),
+    "palette": write_palette,
+    "Mitsuba": write_by_mitsuba,
+    "pixsim": write_exr_channels,
+}
 
 
-# suffix, writer, what it writes, and the error of the format: RGBE has 8 bits of the largest
-FORMATS: list[tuple[str, Callable[[Path, np.ndarray], None], np.ndarray, float]] = [
-    ("png", by_pillow, EIGHT[:, :, 0], 0),
-    ("png", by_pillow, RGB[:, :, 0], 0),
-    ("png", by_pillow, EIGHT, 0),
-    ("png", by_mitsuba, RGB, 0),
-    ("png", by_pillow, OPAQUE, 0),
-    ("png", by_palette, PALETTE, 0),
-    ("tiff", by_pillow, EIGHT, 0),
-    ("tif", by_pillow, RGB[:, :, 0], 0),
-    ("exr", by_pixsim, LIGHT, 0),
-    ("exr", grey_by_pixsim, LIGHT[:, :, 0], 0),
-    ("hdr", by_mitsuba, LIGHT, float(LIGHT.max()) / 128),
+# suffix, program that writes it, what it writes, and the error of the format: RGBE has 8 bits of
+# the largest
+FORMATS = [
+    ("png", "Pillow", EIGHT[:, :, 0], 0.0),
+    ("png", "Pillow", RGB[:, :, 0], 0.0),
+    ("png", "Pillow", EIGHT, 0.0),
+    ("png", "Mitsuba", RGB, 0.0),
+    ("png", "Pillow", np.dstack([EIGHT, np.full((20, 30), 255, np.uint8)]), 0.0),
+    ("png", "palette", PALETTE, 0.0),
+    ("tiff", "Pillow", EIGHT, 0.0),
+    ("tif", "Pillow", RGB[:, :, 0], 0.0),
+    ("exr", "pixsim", LIGHT, 0.0),
+    ("exr", "pixsim", LIGHT[:, :, 0], 0.0),
+    ("hdr", "Mitsuba", LIGHT, float(LIGHT.max()) / 128),
 ]
 
 
-@pytest.mark.parametrize(("suffix", "write", "values", "error"), FORMATS)
+@pytest.mark.parametrize(("suffix", "program", "values", "error"), FORMATS)
 def test_luminance_of_every_format(
-    suffix: str,
-    write: Callable[[Path, np.ndarray], None],
-    values: np.ndarray,
-    error: float,
-    tmp_path: Path,
+    suffix: str, program: str, values: np.ndarray, error: float, tmp_path: Path
 ) -> None:
     path = tmp_path / f"a.{suffix}"
-    write(path, values)
-    scale = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
-    for is_linear in (False, True):
-        light = values / scale
-        if not is_linear and values.dtype.kind == "u":
-            light = decoded(light)
+    WRITERS[program](path, values)
+    has_codes = values.dtype.kind == "u"
+    linear = values / np.iinfo(values.dtype).max if has_codes else values
+    for is_linear, light in ((True, linear), (False, decoded(linear) if has_codes else linear)):
         expected = light if light.ndim == 2 else light[:, :, :3] @ WEIGHTS
         luminance = read_luminance(path, linear=is_linear)
         np.testing.assert_allclose(luminance, expected, rtol=1e-6, atol=error + 1e-9)
@@ -219,15 +215,13 @@ def test_what_is_lost_of_a_picture_is_said(tmp_path: Path) -> None:
 def test_a_turned_jpeg_is_upright(tmp_path: Path) -> None:
     # JPEG keeps uniform areas to a code, 2 %; a camera held upright writes the turn into its
     # metadata (EXIF 6: turn right).
-    codes = np.full((16, 32), 40, np.uint8)
-    codes[:, 16:] = 200
+    codes = np.repeat(np.array([[40, 200]], np.uint8), 16, axis=1).repeat(16, axis=0)
     metadata = Image.Exif()
     metadata[0x0112] = 6
     Image.fromarray(codes).save(tmp_path / "a.jpg", quality=100, exif=metadata)
     luminance = read_luminance(tmp_path / "a.jpg")
     assert luminance.shape == (32, 16)
-    expected = decoded(np.array([40, 200]) / 255)
-    np.testing.assert_allclose(luminance[[4, 28], 4], expected, rtol=0.02)
+    np.testing.assert_allclose(luminance[[4, 28], 4], decoded(np.array([40, 200]) / 255), rtol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -245,8 +239,7 @@ def test_border_keeps_the_aspect_and_states_its_share(
 
 def write_picture(path: Path) -> Path:
     """A picture of 20 × 40: the left half is white, the right one dark."""
-    codes = np.full((20, 40), 60, np.uint8)
-    codes[:, :20] = 255
+    codes = np.repeat(np.array([[255, 60]], np.uint8), 20, axis=1).repeat(20, axis=0)
     path.parent.mkdir(exist_ok=True)
     Image.fromarray(codes).save(path)
     return path
@@ -276,8 +269,7 @@ def test_scene_hash_of_a_picture_depends_on_its_content_only(
     for folder in ("a", "b", "c"):
         path = write_picture(tmp_path / folder / "mine.png")
         monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / folder / "cache"))
-        scene = load("csf", chart=path, chart_linear=folder == "c", resolution=32)
-        hashes.append(scene.content_hash)
+        hashes.append(load("csf", chart=path, chart_linear=folder == "c").content_hash)
     assert hashes[0] == hashes[1] != hashes[2]
 
 
@@ -354,3 +346,143 @@ def test_white_of_the_chart_is_that_of_its_lamps(written: Path) -> None:
     # Of a screen, by a lamp of intensity 1 through a slide of 1
     xyz = 683.002 * xyz_weights(image) @ image.white_spectrum / (math.pi * PROJECTOR_M**2)
     np.testing.assert_allclose(xyz, 1000 / 0.3290 * np.array([0.3127, 0.3290, 0.3583]), rtol=1e-3)
+
+
+FILM = 128
+# A narrow field, so that the fall-off is 1e-4 at the ends of the longest bar.
+CAMERA = pixsim.Camera(focal_length_mm=100, die_mm=2.56, object_distance_m=1.0)
+SAMPLE_UM = 20.0  # 2.56 mm / 128
+
+
+def light(scene: Scene, camera: pixsim.Camera = CAMERA) -> np.ndarray:
+    """Illuminance of the film's cells, (H, W) lx."""
+    plan = make_render_plan(scene, camera, exact=True)
+    assert plan.samples.exact
+    return pixsim.render(scene, camera, plan=plan).illuminance_lx().astype(float)
+
+
+def target(film: int = FILM, **parameters: object) -> Scene:
+    return load("target", **parameters).with_resolution(film)
+
+
+def difference(film: int = FILM, **parameters: object) -> np.ndarray:
+    """What the target adds to the light, (H, W) lx."""
+    scene = target(film, **parameters)
+    return light(scene) - light(scene.with_parameters(contrast=0))
+
+
+@pytest.mark.parametrize("contrast", [-1, -0.1, 0.01, 3.0])
+def test_target_light_is_linear_in_contrast(contrast):
+    light_lx = difference(size_um=3.3 * SAMPLE_UM, contrast=contrast)
+    whole = difference(size_um=3.3 * SAMPLE_UM, contrast=1)
+    # Two float32 of an illuminance, each rounded to 6e-8.
+    np.testing.assert_allclose(
+        light_lx,
+        contrast * whole,
+        atol=2.5e-7 * light(target(contrast=0)).max() * max(1, abs(contrast)),
+    )
+
+
+def test_target_without_contrast_is_even_field():
+    """Bit for bit the light of the scene flat, which has no target, whatever the target would
+    be.
+    """
+    flat = light(load("flat").with_resolution(FILM))
+    for parameters in ({}, {"shape": "bar", "size_um": 3}, {"shape": "edge"}):
+        np.testing.assert_array_equal(light(target(contrast=0, **parameters)), flat)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "white_cd_per_m2"),
+    [
+        ({}, 2000.0),
+        ({"luminance_cd_per_m2": 5}, 10.0),
+        ({"lux": 5 * math.pi}, 10.0),
+        ({"luminance_cd_per_m2": 5, "white_cd_per_m2": 7}, 7.0),
+    ],
+)
+def test_white_is_twice_the_background(
+    parameters: dict[str, float], white_cd_per_m2: float
+) -> None:
+    # But for the file's scale of the lamp, which is rounded, 2e-6.
+    white = load("target", **parameters).white_cd_per_m2
+    assert white == pytest.approx(white_cd_per_m2, rel=1e-5)
+
+
+def test_disc_cover_of_each_cell():
+    """Against chords: ∫ of the disc's height within a cell, by the midpoint rule; cells of other
+    sides, beside the middle.
+    """
+    rows, columns, radius = np.linspace(-3.1, 4.0, 8), np.linspace(-4.0, 3.3, 12), 2.6
+    middle = -4.0 + 7.3 / 220_000 * (np.arange(220_000) + 0.5)
+    height = np.sqrt(np.maximum(radius**2 - middle**2, 0.0))
+    inside = np.diff(np.clip(rows[:, None], -height, height), axis=0) / np.diff(rows)[:, None]
+    expected = inside.reshape(7, 11, 20_000).mean(axis=2)
+    # The midpoint rule errs by (step)^1.5 where the circle's height begins.
+    np.testing.assert_allclose(disc_cover(rows, columns, radius), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("film", [FILM, FILM - 1])
+def test_target_is_centred_and_signed(film: int) -> None:
+    light_lx = difference(film, size_um=7.3 * SAMPLE_UM, contrast=0.5)
+    assert light_lx.min() >= 0
+    turned = [light_lx[::-1, ::-1], light_lx.T]
+    np.testing.assert_allclose(turned, [light_lx] * 2, atol=1e-6 * light_lx.max())
+
+
+@pytest.mark.parametrize("distance_m", [1.0, 2.0])
+def test_sizes_in_scene_angle_and_sensor_agree(distance_m: float) -> None:
+    """20 mm at 1 m are 20 mrad from the lens, and on the sensor the magnification times as much."""
+    camera = CAMERA.model_copy(update={"object_distance_m": distance_m})
+    expected = light(target(size_mm=20.0 * distance_m, contrast=0.3), camera)
+    for size in ({"size_mrad": 20.0}, {"size_um": 20e3 * distance_m * camera.magnification}):
+        np.testing.assert_allclose(light(target(**size, contrast=0.3), camera), expected, rtol=2e-7)
+
+
+@pytest.mark.parametrize("film", [FILM, FILM - 1])
+@pytest.mark.parametrize("samples", [0.2, 3.7, 25.0])
+@pytest.mark.parametrize(("shape", "area"), [("disc", math.pi / 4), ("bar", 5.0)])
+def test_light_of_a_target_is_its_area_times_the_irradiance(
+    shape: str, area: float, samples: float, film: int
+) -> None:
+    # Its flux, π L sin²α times its area on the sensor, for targets from a fifth of a film sample
+    # on, on or between samples. The fall-off takes 1e-4 of the longest bar; float32 holds 6e-8 of
+    # the background, 2e-6 of the smallest disc.
+    size_um = samples * SAMPLE_UM
+    light_lx = difference(film, shape=shape, size_um=size_um, contrast=-1, luminance_cd_per_m2=1000)
+    cone = 1 + 4 * CAMERA.f_number**2 * (1 + CAMERA.magnification) ** 2
+    cells = area * (size_um / (CAMERA.die_um[1] / film)) ** 2
+    assert light_lx.sum() == pytest.approx(-math.pi * 1000 / cone * cells, rel=1.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "lit"),
+    [
+        ({"shape": "bar", "size_um": 4 * SAMPLE_UM}, np.s_[54:74, 62:66]),
+        ({"shape": "edge"}, np.s_[:, FILM // 2 :]),
+    ],
+)
+def test_bars_and_edges_have_a_direction(
+    parameters: dict[str, Any], lit: tuple[slice, slice]
+) -> None:
+    """A vertical bar is 5 times as tall as wide; the target of an edge is right, or below."""
+    upright, lying = (
+        difference(contrast=1, direction=direction, **parameters)
+        for direction in ("vertical", "horizontal")
+    )
+    expected = np.zeros((FILM, FILM), bool)
+    expected[lit] = True
+    np.testing.assert_array_equal(upright > 0, expected)
+    np.testing.assert_allclose(lying, upright.T, rtol=1e-6)
+
+
+def test_target_of_an_edited_xml_is_drawn(tmp_path: Path) -> None:
+    """A given size takes the place of the file's."""
+    contrast = ('"contrast" value="-0.1"', '"contrast" value="0.4"')
+    size = ('name="size_mm" value="20"', 'name="size_um" value="60"')
+    scene = load(edited(tmp_path, "target", contrast, size)).with_resolution(FILM)
+    stated = target(contrast=0.4, size_um=60)
+    np.testing.assert_array_equal(light(scene), light(stated))
+    assert scene.target == stated.target == Target(contrast=0.4, size_um=60)
+    assert scene.content_hash != target().content_hash
+    assert load(scene.path, size_mm=3).target == Target(contrast=0.4, size_mm=3)

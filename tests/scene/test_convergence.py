@@ -3,8 +3,6 @@
 Cached renders: only equal light shares an entry, and the bytes are those of new renders.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import shutil
@@ -18,25 +16,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import command
 from helpers.edits import VARIANT, load
 
 import pixsim
 from pixsim.base import cache, mapped
-from pixsim.base.cache import LIMIT_VARIABLE
-from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.files import FOLDER_VARIABLE, version_of
 from pixsim.base.progress import no_stage
 from pixsim.scene import convergence, film
-from pixsim.scene.convergence import (
-    NO_TIME_LIMIT_S,
-    RenderNoise,
-    measured_parts,
-    render_until,
-    repeatable_settings,
-)
 from pixsim.scene.guard import child
 from pixsim.scene.job import OutOfTimeError
-from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import KIND, LEVEL_FACTOR, CachedRenders, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
@@ -65,19 +54,17 @@ def until(
     pixels: Sequence[pixsim.Pixel] = (PIXEL,),
     max_seconds: float | None = None,
     **options: Any,
-) -> tuple[pixsim.SpectralImage, RenderNoise]:
+) -> tuple[pixsim.SpectralImage, convergence.RenderNoise]:
     options |= {"render_noise": target, "max_seconds": max_seconds}
-    return render_until(*prepared(name), pixels, exposure, seed, **options)
+    return convergence.render_until(*prepared(name), pixels, exposure, seed, **options)
 
 
 def electrons_e(
     image: pixsim.SpectralImage, pixel: pixsim.Pixel, exposure: pixsim.Exposure
 ) -> np.ndarray:
     physics = derive(pixel)
-    rate = ideal_rate(image, physics)
-    return exposure.integration_s * integrate_pixels(
-        rate, image.pitch_um, physics.pitch_um, physics.photodiode_side_um
-    )
+    sides_um = image.pitch_um, physics.pitch_um, physics.photodiode_side_um
+    return exposure.integration_s * integrate_pixels(ideal_rate(image, physics), *sides_um)
 
 
 def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim.Exposure) -> Any:
@@ -150,12 +137,10 @@ def test_render_until_worst_pixel_counts() -> None:
 
 @pytest.mark.parametrize("shape", [(300, 300), (200, 301)])
 def test_measured_parts_are_a_sample_of_the_pixels(shape: tuple[int, int]) -> None:
-    assert measured_parts(shape, 1.0) == [(slice(0, shape[0]), slice(0, shape[1]))]
-    parts = measured_parts(shape, 20.0)
+    assert convergence.measured_parts(shape, 1.0) == [(slice(0, shape[0]), slice(0, shape[1]))]
     covered = np.zeros(shape)
-    for part in parts:
+    for part in convergence.measured_parts(shape, 20.0):
         covered[part] += 1
-    assert len(parts) == 16
     assert covered.max() == 1
     assert covered.sum() * 20**2 == pytest.approx(convergence.MEASURED, rel=0.2)
 
@@ -242,7 +227,7 @@ def test_time_for_no_picture_raises() -> None:
     os.kill(child._child.process.pid, signal.SIGSTOP)
     start_s = time.monotonic()
     with pytest.raises(OutOfTimeError, match="max_seconds"):
-        render_until(scene, camera, plan, [PIXEL], pixsim.Exposure(), max_seconds=1e-3)
+        convergence.render_until(scene, camera, plan, [PIXEL], pixsim.Exposure(), max_seconds=1e-3)
     assert time.monotonic() - start_s < 10  # 1.5 s for the first pair, and the end of the process
 
 
@@ -262,23 +247,15 @@ def test_progress_rises_and_says_the_noise() -> None:
     """Over pairs and levels; nothing is known during the first pair."""
     target = until(LOOSE)[1].fraction / 6
     reports: list[tuple[float, str]] = []
-    until(target, progress=lambda done, note: reports.append((done, note)))
-    shares, notes = zip(*reports, strict=True)
-    assert list(shares) == sorted(shares)
+    until(target, progress=lambda *report: reports.append(report))
+    shares = [share for share, _ in reports]
+    assert shares == sorted(shares)
     assert 0.5 < shares[-1] <= 1
-    assert notes[0] == ""
-    assert float(notes[-1].split()[3]) > target
+    assert reports[0][1] == ""
+    assert float(reports[-1][1].split()[3]) > target
 
 
 # --- The picture ---
-
-
-def test_render_until_equal_seeds_are_bit_identical() -> None:
-    target = until(LOOSE)[1].fraction / 2
-    (first, noise), (again, noise_again), (other, _) = (until(target, seed) for seed in (5, 5, 6))
-    np.testing.assert_array_equal(first.planes, again.planes)
-    assert noise == noise_again
-    assert not np.array_equal(first.planes, other.planes)
 
 
 def test_picture_of_a_pair_is_the_mean_of_two_renders() -> None:
@@ -299,18 +276,28 @@ def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPat
     assert noise_in_file == noise
 
 
-@pytest.mark.parametrize("ended_by", ["target", "max_seconds"])
-def test_repeatable_settings_state_what_the_limit_led_to(ended_by: str) -> None:
-    """Or rounding could ask for one more render."""
+@pytest.mark.parametrize(
+    ("ended_by", "more"),
+    [
+        ("target", {}),
+        # Or rounding could ask for one more render.
+        (
+            "max_seconds",
+            {"render_noise": 0.5 * (1 + convergence.ROUNDING), "tolerance_delta_e": None},
+        ),
+    ],
+)
+def test_repeatable_settings_state_what_the_limit_led_to(
+    ended_by: str, more: dict[str, Any]
+) -> None:
     header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
     image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
     settings = Run(seed=4, max_seconds=7.0, tolerance_delta_e=0.1)
-    expected = {"max_seconds": NO_TIME_LIMIT_S, "resolution": 3}
-    if ended_by == "max_seconds":
-        expected |= {"render_noise": 0.5 * (1 + convergence.ROUNDING), "tolerance_delta_e": None}
-    repeatable = repeatable_settings(settings, image)
-    assert repeatable == settings.model_copy(update=expected)
-    assert repeatable_settings(Run(seed=4), image) == Run(seed=4)
+    expected = settings.model_copy(
+        update={"max_seconds": convergence.NO_TIME_LIMIT_S, "resolution": 3} | more
+    )
+    assert convergence.repeatable_settings(settings, image) == expected
+    assert convergence.repeatable_settings(Run(seed=4), image) == Run(seed=4)
 
 
 # --- Cached renders ---
@@ -324,10 +311,6 @@ TABLES = {
     "display": {"dots": 32},
     "scene": {"spp": 4},
 }
-RUN = (
-    f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100"
-    " --pixel.pitch-um 84.8 --out"
-)
 
 
 @pytest.fixture
@@ -350,25 +333,6 @@ def rendered(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return indices
 
 
-def run(out: Path) -> dict[str, bytes]:
-    """Return the bytes of all files of a run, without its times."""
-    code, _, err = command(RUN, out)
-    assert code == 0, err
-    return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "pixsim.json"}
-
-
-def test_render_cache_empty_warm_or_off_gives_equal_bytes(
-    tmp_path: Path, rendered: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cold = run(tmp_path / "out")
-    assert len(rendered) == len(cache.entries(KIND)) == 2
-    assert run(tmp_path / "out") == cold
-    assert len(rendered) == 2
-    monkeypatch.setenv(LIMIT_VARIABLE, "0")
-    assert run(tmp_path / "out") == cold
-    assert len(rendered) == 4
-
-
 def light(**settings: Any) -> tuple[bytes, str]:
     """Return the light of a run, bit for bit, and its header."""
     run_settings = Run.model_validate(merge(TABLES, settings))
@@ -378,14 +342,18 @@ def light(**settings: Any) -> tuple[bytes, str]:
     return image.planes.tobytes(), repr(image.header)
 
 
-def test_render_damaged_cache_gives_equal_bytes(folder: Path, rendered: list[int]) -> None:
+def test_light_is_equal_without_and_with_a_cache_and_a_damaged_one(
+    folder: Path, rendered: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     cold = light()
     path = sorted(folder.glob("render/*.npz"))[1]
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
     assert light() == light() == cold
-    assert rendered == [0, 1, 1]
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+    assert light() == cold
+    assert rendered == [0, 1, 1, 0, 1]
 
 
 @pytest.fixture(scope="module")
@@ -421,10 +389,22 @@ def test_light_is_rendered_anew_for_the_settings_that_change_it(
     assert renders != 4 or rendered[0] == 2
 
 
+@pytest.mark.parametrize("package", ["numpy", "scipy", "mitsuba", "drjit"])
+def test_light_is_rendered_anew_by_another_version(
+    package: str, folder: Path, first_cache: Path, rendered: list[int], monkeypatch: Any
+) -> None:
+    shutil.copytree(first_cache, folder)
+    other = {package: "0"}
+    monkeypatch.setattr(cache, "version_of", lambda name: other.get(name) or version_of(name))
+    monkeypatch.setattr(cache, "version_fingerprint", cache.version_fingerprint.__wrapped__)
+    light()
+    assert rendered == [0, 1]
+
+
 @pytest.mark.usefixtures("folder")
 def test_size_of_a_jobs_renders_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Entries from an earlier run count as much as new ones."""
-    monkeypatch.setenv(LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, str(16 / 1024))  # 16 MiB: 4 for one job
     for _ in range(2):
         job = CachedRenders("job")
         for index in range(6):
@@ -438,18 +418,13 @@ def test_time_limit_is_reproduced(rendered: list[int], monkeypatch: pytest.Monke
     takes a second here.
     """
     monkeypatch.setattr(convergence.time, "monotonic", lambda: float(len(rendered)))
-    scene = load("csf", resolution=32)
-    camera = scene.camera()
-    job = (scene, camera, make_render_plan(scene, camera), [pixsim.Pixel(pitch_um=84.8)])
 
-    def renders(max_seconds: float) -> tuple[int, bytes]:
-        options: dict[str, Any] = {"render_noise": 1e-6, "max_seconds": max_seconds}
+    def renders(max_seconds: float) -> tuple[int, bytes, int]:
         with pytest.warns(UserWarning, match="ended at its time limit"):
-            image, noise = render_until(*job, pixsim.Exposure(), use_cache=True, **options)
-        return noise.runs, image.planes.tobytes()
+            image, noise = until(1e-6, max_seconds=max_seconds, use_cache=True)
+        return noise.runs, image.planes.tobytes(), len(rendered)
 
-    first = renders(2.0)
-    count = len(rendered)
-    assert [renders(2.0) for _ in range(2)] == [first] * 2
-    assert len(rendered) == count >= 2
-    assert renders(3.0)[0] > first[0]
+    first, again, last, longer = (renders(seconds) for seconds in (2.0, 2.0, 2.0, 3.0))
+    assert first == again == last
+    assert first[2] >= 2
+    assert longer[0] > first[0]

@@ -1,31 +1,32 @@
-"""What scenes, charts and pictures are refused for: a row each, with the words that matter.
+"""What scenes, charts and pictures are refused for: a row each, with the words that matter; and units
+that are obeyed.
 
 Fields and arguments out of their range stand in tests/test_refusals.py and test_arguments.py.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import struct
+import warnings
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
-from helpers.edits import END, NEEDS_NO_CARD, edited, lens_xml, load, scene_file, sensor_xml
+from helpers.edits import END, FOLDER, NEEDS_NO_CARD, edited, lens_xml, load, scene_file, sensor_xml
 from PIL import Image
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.light.exr import write_channels
 from pixsim.scene import charts
+from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.own_chart import read_luminance
-from pixsim.scene.plan import make_plan, make_render_plan
+from pixsim.scene.plan import Plan, make_plan, make_render_plan
 from pixsim.scene.variants import variant
 
 CASES = Path(__file__).parents[1] / "data/cases"
@@ -36,16 +37,17 @@ POINT = '<emitter type="point">{}</emitter>'
 COLD = (
     '<spectrum type="blackbody" name="intensity"><float name="temperature" value="{}"/></spectrum>'
 )
+EDGE = (FOLDER / "charts/slanted_edge.exr").read_bytes()
+DEPTH = """<default name="depth" value="3"/><integrator type="path">
+    <integer name="max_depth" value="$depth"/></integrator>"""
 LUX = '<default name="lux" value="1000"/>'
 NOWHERE = (
     '<transform name="to_world"><lookat origin="0,0,0" target="0,0,0" up="0,1,0"/></transform>'
 )
-SRGB = '<texture type="srgb" name="eta"><rgb name="color" value=".1 .3 .9"/></texture>'
 ONE_NODE = (
     '<spectrum type="irregular" name="eta"><string name="wavelengths" value="500"/>'
     '<string name="values" value="1"/></spectrum>'
 )
-BLACK_WALL = '<shape type="rectangle"><emitter type="area"/></shape>'  # seen from behind
 LAMPS = (
     '<default name="white_lamps" value=""/><shape type="disk"><emitter type="area" id="lamp"/></shape>'
     '<emitter type="spot" id="spot"/>'
@@ -59,7 +61,7 @@ def loaded(*elements: str, **parameters: object) -> Callable[[Path], object]:
     return lambda folder: load(scene_file(folder, sensor_xml(), *elements), **parameters)
 
 
-def seen(*elements: str) -> Callable[[Path], object]:
+def seen(*elements: str) -> Callable[[Path], pixsim.SpectralImage]:
     """Render a scene of some elements."""
     return lambda folder: pixsim.render(load(scene_file(folder, sensor_xml(), *elements)))
 
@@ -71,6 +73,17 @@ def sensors(*elements: str) -> Callable[[Path], object]:
 def changed(name: str, *edits: tuple[str, str], **parameters: object) -> Callable[[Path], object]:
     """Load a packaged scene after some edits."""
     return lambda folder: load(edited(folder, name, *edits), **parameters)
+
+
+def included(part: str, *elements: str, **parameters: object) -> Callable[[Path], object]:
+    """Render a scene of some elements, of which 'part.xml' is included."""
+
+    def render(folder: Path) -> object:
+        (folder / "part.xml").write_text(f'<scene version="3.0.0">{part}</scene>', encoding="utf-8")
+        elements_xml = ('<include filename="part.xml"/>', CONSTANT, *elements)
+        return pixsim.render(load(scene_file(folder, sensor_xml(), *elements_xml), **parameters))
+
+    return render
 
 
 def metal(inside: str) -> str:
@@ -96,14 +109,19 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no file": (lambda _: load("no/such.xml"), "folder 'no' does not exist"),
     "a folder": (lambda folder: load(folder), "a folder"),
     "a picture": (lambda _: load("star.png"), "csf with chart='star.png'"),
-    "an empty file": (lambda folder: load(raw(folder, b"")), r"scene\.xml.*readable XML"),
-    "half a file": (lambda folder: load(raw(folder, b"<scene>")), r"scene\.xml.*readable XML"),
-    "another encoding": (lambda folder: load(raw(folder, b"<a>\xff\xfe</a>")), "in UTF-8"),
+    "an empty file": (lambda folder: load(stored(folder / "scene.xml", b"")), r"scene\.xml.*readable XML"),
+    "half a file": (lambda folder: load(stored(folder / "scene.xml", b"<scene>")), r"scene\.xml.*readable XML"),
+    "another encoding": (lambda folder: load(stored(folder / "scene.xml", b"<a>\xff\xfe</a>")), "in UTF-8"),
     "an unknown parameter": (lambda _: load("csf", spq=1), "'spq'.*Did you mean 'spp'"),
     "a name in a comment": (loaded("<!-- $ghost -->", ghost=1), "'ghost'"),
-    "a parameter of an include": (
-        lambda folder: load(including(folder), dept=2),
-        "Did you mean 'depth'",
+    "a parameter of an include": (included(DEPTH, dept=2), "Did you mean 'depth'"),
+    "what Mitsuba refuses": (
+        seen(CONSTANT, '\n<shape type="disk"><bsdf type="blendbsdf"><bsdf type="diffuse"/></bsdf></shape>'),
+        r"In line 5 of 'scene\.xml': .*'blendbsdf'",
+    ),
+    "what Mitsuba refuses of an include": (
+        included('\n\n\n<bsdf type="twosided" id="paint"><bsdf type="dielectric"/></bsdf>', '<shape type="disk"><ref id="paint"/></shape>'),
+        r"In line 4 of 'part\.xml': .*'twosided'",
     ),
     "a sample count": (lambda _: load("flat", spp=2**20 + 1), "spp: got 1048577"),
     "a film": (
@@ -155,7 +173,7 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         changed("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>')),
         "dispersive",
     ),
-    "a colour as an index": (loaded(CONSTANT, metal(SRGB)), r"conductor\.eta.*material.*<spectrum>"),
+    "a colour as an index": (loaded(CONSTANT, metal('<texture type="srgb" name="eta"><rgb name="color" value=".1 .3 .9"/></texture>')), r"conductor\.eta.*material.*<spectrum>"),
     "an RGB index in a file": (lambda _: load(CASES / "4-05-metal-rgb-eta-k/gold_rgb.xml"), r"eta.* in line 10"),
     "an index of one value": (
         lambda folder: make_render_plan(loaded(CONSTANT, metal(ONE_NODE))(folder)),
@@ -176,7 +194,7 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         "spectrum: got 'no'",
     ),
     "no such chart": (lambda _: load("flat", chart="nowhere.exr"), r"'nowhere\.exr', which does not exist"),
-    "half a chart": (lambda folder: pixsim.render(load("flat", chart=str(torn(folder)), resolution=8)), r"torn\.exr"),
+    "half a chart": (lambda folder: pixsim.render(load("flat", chart=str(stored(folder / "torn.exr", EDGE[: len(EDGE) // 2])), resolution=8)), r"torn\.exr"),
     "a number beyond 1e30": (loaded(shape('<float name="radius" value="1e31"/>')), "sphere.radius: got 1e"),
     "a colour that is none": (loaded(ball("diffuse", '<rgb name="reflectance" value="nan, 0, 0"/>')), "reflectance: got nan"),
     "a flat transform": (loaded(shape('<transform name="to_world"><scale value="0"/></transform>')), "invertible"),
@@ -192,7 +210,11 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda folder: make_render_plan(loaded(POINT.format(COLD.format("1e-30")))(folder)),
         "spectrum: got NaN",
     ),
-    "a black picture": (seen(BLACK_WALL), "black picture.*face the camera"),
+    "a night": (
+        lambda _: pixsim.run(CASES / "4-04-sunsky-at-night/sky20.xml", pixel={"technology": "4t-bsi", "pitch_um": 5.0, "infrared_cut_nm": 700.0}, resolution=8),
+        "a black picture.*The sun is below the horizon",
+    ),
+    "a black picture": (seen('<shape type="rectangle"><emitter type="area"/></shape>'), "black picture.*face the camera"),
     "a black chart": (lambda folder: pixsim.render(load("flat", chart=str(black(folder)), resolution=8)), "no picture of a lamp is 0"),
     "hidden emitters": (
         lambda folder: pixsim.render(changed("csf", ('<integer name="max_depth" value="2"/>', '<boolean name="hide_emitters" value="true"/>'), resolution=8)(folder)),
@@ -252,23 +274,8 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
 }  # fmt: skip
 
 
-def raw(folder: Path, content: bytes) -> Path:
-    path = folder / "scene.xml"
+def stored(path: Path, content: bytes) -> Path:
     path.write_bytes(content)
-    return path
-
-
-def including(folder: Path) -> Path:
-    depth = '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>'
-    text = f'<scene version="3.0.0"><default name="depth" value="3"/>{depth}</scene>'
-    (folder / "part.xml").write_text(text, encoding="utf-8")
-    return edited(folder, "macbeth", (PATH, '<include filename="part.xml"/>'))
-
-
-def torn(folder: Path) -> Path:
-    content = (Path(load("flat").path).parent / "charts/slanted_edge.exr").read_bytes()
-    path = folder / "torn.exr"
-    path.write_bytes(content[: len(content) // 2])
     return path
 
 
@@ -295,13 +302,13 @@ def failing(text: str, cause: str) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_and_charts_are_refused(name: str, tmp_path: Path) -> None:
     call, words = SCENES[name]
-    with pytest.raises(PixsimError, match=f"(?s){words}"):
+    with pytest.raises(pixsim.PixsimError, match=f"(?s){words}"):
         call(tmp_path)
 
 
 @NEEDS_NO_CARD
 def test_card_that_is_not_there_is_refused() -> None:
-    with pytest.raises(PixsimError, match=r"'cuda_ad_spectral'.*Leave out --variant"):
+    with pytest.raises(pixsim.PixsimError, match=r"'cuda_ad_spectral'.*Leave out --variant"):
         pixsim.load_scene("flat", variant="cuda_ad_spectral")
 
 
@@ -355,7 +362,7 @@ def test_pictures_are_refused(
     name: str, write: Callable[[Path], object], words: str, tmp_path: Path
 ) -> None:
     write(tmp_path / name)
-    with pytest.raises(PixsimError, match=words):
+    with pytest.raises(pixsim.PixsimError, match=words):
         read_luminance(tmp_path / name)
 
 
@@ -385,3 +392,171 @@ def test_commands_on_charts_are_refused(
     pixsim.write_chart("star.exr", charts.flat())
     assert_refused(*command(line), words)
     assert not (tmp_path / "out.exr").exists()
+
+
+CASES = Path(__file__).parents[1] / "data/cases"
+CONSTANT = '<emitter type="constant"/>'
+BALL = '<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>'
+LAMP = '<emitter type="constant"><spectrum name="radiance" filename="{}"/></emitter>'
+
+
+def plan(folder: Path, *elements: str) -> Plan:
+    return make_render_plan(load(scene_file(folder, sensor_xml(), CONSTANT, *elements)))
+
+
+def text_of(folder: Path, *elements: str) -> str:
+    return open_scene(scene_file(folder, *elements), {}).text
+
+
+# --- Units and files of spectra ---
+
+
+@pytest.mark.parametrize(("table", "unit"), [("0.4:.5, 0.8:.5", "µm"), ("4000:.5, 8000:.5", "Å")])
+def test_wavelengths_in_another_unit_are_named(table: str, unit: str, tmp_path: Path) -> None:
+    """Not those of an infrared table."""
+    with pytest.raises(pixsim.PixsimError, match=f"seem to be in {unit}"):
+        plan(tmp_path, BALL.format(f'<spectrum name="reflectance" value="{table}"/>'))
+    plan(tmp_path, BALL.format('<spectrum name="reflectance" value="850:.5, 1700:.5"/>'))
+
+
+@pytest.mark.parametrize(
+    ("content", "value"),
+    [
+        ("wavelength (µm)\tradiance (mW/m^2/sr/nm)\n0,4\t25\n0,7\t5\n", "400:0.025, 700:0.005"),
+        ("nm;reflectance (%)\n400;50\n700;62,5\n", "400:0.50, 700:0.625"),
+        ("400 1\n500 1e-9\n", "400:1, 500:1e-09"),
+    ],
+)
+def test_units_of_a_file_are_obeyed(content: str, value: str, tmp_path: Path) -> None:
+    (tmp_path / "a.spd").write_text(content, encoding="latin-1")
+    assert f'value="{value}"' in text_of(tmp_path, LAMP.format("a.spd"))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("400 1\n", "at least two"),
+        ("400 1\n500 1\n450 1\n", "500 nm followed by 450 nm"),
+        ("nm;response (A/W)\n400;1\n500;1\n", "A/W"),
+        ("400 one\n500 two\n", "spectrum"),
+        ("", "empty"),
+    ],
+)
+def test_tables_that_are_no_spectrum_are_refused(content: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.spd").write_text(content, encoding="utf-8")
+    with pytest.raises(pixsim.PixsimError, match=words):
+        text_of(tmp_path, LAMP.format("a.spd"))
+
+
+# --- Shares of light ---
+TABLE = '<spectrum name="reflectance" value="360:{0}, 830:{0}"/>'
+UNIFORM = '<texture type="uniform" {}><float name="value" value="{{0}}"/></texture>'
+PAINT = BALL.format('<ref name="reflectance" id="paint"/>')
+PICTURE = (
+    '<texture type="bitmap" name="{}"><string name="filename" value="a.exr"/>'
+    '<boolean name="raw" value="true"/></texture>'
+)
+SHARES = {
+    "a number": BALL.format('<float name="reflectance" value="{}"/>'),
+    "a table": BALL.format(TABLE),
+    "a file": BALL.format('<spectrum name="reflectance" filename="a.spd"/>'),
+    "a texture": BALL.format(UNIFORM.format('name="reflectance"')),
+    "a checkerboard": BALL.format(
+        '<texture type="checkerboard" name="reflectance"><spectrum name="color0" value="{}"/></texture>'
+    ),
+    "a regular table": BALL.format(
+        '<spectrum type="regular" name="reflectance"><string name="range" value="360 830"/>'
+        '<string name="values" value="{0}, {0}"/></spectrum>'
+    ),
+    "a reference": UNIFORM.format('id="paint"') + PAINT,
+    "a reference before": PAINT + UNIFORM.format('id="paint"'),
+    "a part of a reference": UNIFORM.format('id="part"')
+    + '<texture type="checkerboard" id="paint"><ref name="color0" id="part"/></texture>'
+    + PAINT,
+    "an alias": UNIFORM.format('id="part"') + '<alias id="part" as="paint"/>' + PAINT,
+}
+
+
+SILENT = partial(warnings.catch_warnings, action="error")
+WARNED = partial(pytest.warns, UserWarning, match=r"reflectance is 1\.02 in bsdf a diffuse")
+REFUSED = partial(
+    pytest.raises, pixsim.PixsimError, match=r"50 in bsdf a diffuse.*Divide by 100: 0\.5"
+)
+
+
+@pytest.mark.parametrize(
+    ("xml", "value", "outcome"),
+    [
+        *((xml, *row) for xml in SHARES.values() for row in ((1, SILENT), (1.02, WARNED), (50, REFUSED))),
+        # Light has any number.
+        (CONSTANT.replace("/>", f">{TABLE.replace('reflectance', 'radiance')}</emitter>"), 50, SILENT),
+    ],
+)  # fmt: skip
+def test_reflectance_above_1_is_warned_of_and_above_1_5_refused(
+    xml: str, value: float, outcome: Callable[[], Any], tmp_path: Path
+) -> None:
+    """With its place."""
+    (tmp_path / "a.spd").write_text(f"400 {value}\n700 {value}\n", encoding="utf-8")
+    with outcome():
+        plan(tmp_path, xml.format(value))
+
+
+@pytest.mark.parametrize(
+    "texture",
+    [
+        PICTURE.format("reflectance"),
+        f'<texture type="checkerboard" name="reflectance">{PICTURE.format("color0")}</texture>',
+    ],
+)
+def test_picture_of_a_reflectance_above_1_5_is_refused(texture: str, tmp_path: Path) -> None:
+    """A picture has no numbers in the XML: it is judged by what Mitsuba reads."""
+    wall = f'<shape type="rectangle"><bsdf type="diffuse">{texture}</bsdf></shape>'
+    render = seen(CONSTANT, wall)
+    pixsim.write_chart(tmp_path / "a.exr", np.ones((2, 2), np.float32))
+    assert render(tmp_path).data.max() > 0
+    pixsim.write_chart(tmp_path / "a.exr", np.full((2, 2), 50, np.float32))
+    with pytest.raises(pixsim.PixsimError, match=r"diffuse\.reflectance: got 50 in 'a\.exr'"):
+        render(tmp_path)
+
+
+# --- Maps ---
+AHEAD = '<transform name="to_world"><rotate y="1" angle="180"/><translate z="1"/></transform>'
+MAPS = {
+    "normalmap": '<bsdf type="normalmap">{}<bsdf type="diffuse"/></bsdf>',
+    "": '<bsdf type="bumpmap">{}<bsdf type="diffuse"/></bsdf>',
+    "opacity": '<bsdf type="mask">{}<bsdf type="diffuse"/></bsdf>',
+    "alpha": '<bsdf type="roughconductor">{}</bsdf>',
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+@pytest.mark.parametrize(("channels", "raw"), [(3, False), (3, True), (1, False), (1, True)])
+def test_maps_are_refused_where_mitsuba_would_fail(
+    name: str, channels: int, raw: bool, tmp_path: Path
+) -> None:
+    """A colour picture of numbers needs raw, and normals need a colour picture; all others
+    render.
+    """
+    texels = np.random.default_rng(1).integers(100, 256, (8, 8, channels), np.uint8).squeeze()
+    Image.fromarray(texels).save(tmp_path / "map.png")
+    raw_xml = f'<boolean name="raw" value="{str(raw).lower()}"/>'
+    bitmap = f'<texture type="bitmap" name="{name}">{file("map.png")}{raw_xml}</texture>'
+    wall = f'<shape type="rectangle">{AHEAD}{MAPS[name].format(bitmap)}</shape>'
+    render = seen(CONSTANT, wall.replace(' name=""', ""))
+    if (channels == 3 and not raw) or (channels == 1 and name == "normalmap"):
+        with pytest.raises(pixsim.PixsimError, match=r"map\.png|scalar value|channel"):
+            render(tmp_path)
+    else:
+        assert render(tmp_path).data.max() > 0
+
+
+# --- What Mitsuba says ---
+
+
+@pytest.mark.parametrize(("z", "is_dark"), [(1, True), (-1, False)])
+def test_a_sun_below_the_horizon_is_said(z: int, is_dark: bool, tmp_path: Path) -> None:
+    """Its horizon is that of `to_world`: turned by half a turn, what points up points down."""
+    sun = f"""<emitter type="sunsky"><vector name="sun_direction" x="0" y="0" z="{z}"/>
+        <transform name="to_world"><rotate x="1" angle="180"/></transform></emitter>"""
+    notes = make_render_plan(load(scene_file(tmp_path, sensor_xml(), sun))).warnings
+    assert any("sun is below the horizon" in note for note in notes) == is_dark

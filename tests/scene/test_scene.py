@@ -1,38 +1,42 @@
-"""Scenes: what is read from a Mitsuba XML, against Mitsuba's numbers and lamps in closed form."""
+"""Scenes: what is read from a Mitsuba XML, against Mitsuba's numbers and lamps in closed form; its
+plain tree; and the white of a scene by a plate at the object's distance.
+"""
 
-from __future__ import annotations
-
+import json
 import math
-import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers.edits import lens_xml, load, scene_file, sensor_xml
+from helpers.chains import imaging
+from helpers.edits import edited, lens_xml, load, scene_file, sensor_xml
 from helpers.lamps import D65_LUMINANCE, d65_radiance
 
 import pixsim
-from pixsim.base.errors import PixsimError
+from pixsim.light.exr import write_exr
 from pixsim.light.spectral import grid_nm
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
-from pixsim.scene import illuminance
+from pixsim.scene import illuminance, mitsuba, tree as trees
 from pixsim.scene.contents import find_lamp, find_lamps, white_spectra
-from pixsim.scene.mitsuba import import_mitsuba
+from pixsim.scene.convergence import render_until
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.tree import Tree
+from pixsim.scene.renderer import render
+from pixsim.scene.scene import Scene, sensor_node
+from pixsim.scene.white_plate import plate_distance_m, plate_transform
+from pixsim.viewer.display import white_light
+from pixsim.viewer.screen import white_header
 
 NAMES = ["cornell_box", "csf", "flat", "line_lamp", "macbeth", "siemens_star", "slanted_edge"]
 NAMES += ["still_life", "target", "yard"]
-RAW = '<boolean name="raw" value="true"/>'
 READING = "scalar_spectral"
 BALL = '<shape type="sphere"><float name="radius" value="{}"/></shape>'
-
-
-def radius(state: Tree) -> float:
-    return next(float(node["radius"]) for node in state.nodes if "radius" in node)
 
 
 # --- Loading and parameters ---
@@ -50,14 +54,17 @@ def test_packaged_scenes_have_their_name_and_the_default_camera(name: str) -> No
 def test_parameters_reach_nodes(tmp_path: Path) -> None:
     """Also one that pixsim would read in other scenes; one without a default is required."""
     body = BALL.format("$lux")
-    path = scene_file(tmp_path, sensor_xml(), f'<default name="lux" value="0.5"/>{body}')
-    radii = [
-        radius(load(path, **values).parse()) for values in ({}, {"lux": 0.25}, {"lux": "2e-3"})
-    ]
-    assert radii == [0.5, 0.25, 0.002]
-    path = scene_file(tmp_path, sensor_xml(), body)
-    assert radius(load(path, lux=0.125).parse()) == 0.125
-    with pytest.raises(PixsimError, match="lux"):
+    default = '<default name="lux" value="0.5"/>'
+    for elements, values, expected in (
+        ([default, body], {}, 0.5),
+        ([default, body], {"lux": 0.25}, 0.25),
+        ([default, body], {"lux": "2e-3"}, 0.002),
+        ([body], {"lux": 0.125}, 0.125),
+    ):
+        path = scene_file(tmp_path, sensor_xml(), *elements)
+        nodes = load(path, **values).parse().nodes
+        assert [float(node["radius"]) for node in nodes if "radius" in node] == [expected]
+    with pytest.raises(pixsim.PixsimError, match="lux"):
         load(path)
 
 
@@ -89,16 +96,15 @@ def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
     file.
     """
     path = scene_file(tmp_path, sensor_xml(), LIT)
-    luminances = []
-    for parameters in ({}, {"lux": 50}):
-        lamps = find_lamps(load(path, **parameters).parse(), READING)
-        luminances.append(illuminance.luminances(lamps))
-    assert len(luminances[0]) == 8
-    expected = {index: luminance / 4 for index, luminance in luminances[0].items()}
-    assert luminances[1] == pytest.approx(expected, rel=1e-6)
+    before, after = (
+        illuminance.luminances(find_lamps(load(path, **lux).parse(), READING))
+        for lux in ({}, {"lux": 50})
+    )
+    assert len(before) == 8
+    assert after == pytest.approx({index: value / 4 for index, value in before.items()}, rel=1e-6)
     assert load(path, lux=50).white_cd_per_m2 == pytest.approx(15, rel=1e-12)
     assert load(path, lux=50, white_cd_per_m2=7).white_cd_per_m2 == 7
-    with pytest.raises(PixsimError, match="'50' together with far, with a different balance"):
+    with pytest.raises(pixsim.PixsimError, match="'50' together with far, with a different balance"):
         load(path, lux=50, far=1)
 
 
@@ -129,7 +135,7 @@ FIELDS |= {
 def test_field_of_view_matches_mitsuba(field: str, size: tuple[int, int], tmp_path: Path) -> None:
     # But for the focal length, which is rounded to six digits.
     path = scene_file(tmp_path, sensor_xml(FIELDS[field] + PUPIL[1], size=size))
-    mi = import_mitsuba(READING)
+    mi = mitsuba.import_mitsuba(READING)
     expected_deg = mi.traverse(mi.load_file(str(path)).sensors()[0])["x_fov"]
     assert load(path).camera().fov_deg == pytest.approx(float(np.ravel(expected_deg)[0]), rel=1e-5)
 
@@ -187,7 +193,7 @@ def d65_xml(scale: float = 1.0, inside: str = "") -> str:
     return f'<texture type="d65" name="radiance">{value}</texture>'
 
 
-def bitmap(name: str, raw: str = RAW) -> str:
+def bitmap(name: str, raw: str = ('<boolean name="raw" value="true"/>')) -> str:
     file = f'<string name="filename" value="grey.exr"/>{raw}'
     return f'<texture type="bitmap" name="{name}">{file}</texture>'
 
@@ -209,7 +215,7 @@ NM = grid_nm()
 PLANCK = 1.191042972e20 / NM**5 / np.expm1(1.438776877e7 / (NM * 5000))
 
 
-def state_of(folder: Path, *emitters: str) -> Tree:
+def state_of(folder: Path, *emitters: str) -> trees.Tree:
     pixsim.write_chart(folder / "grey.exr", np.full((2, 2), 0.5, np.float32))
     return load(scene_file(folder, sensor_xml(), *emitters)).parse()
 
@@ -287,7 +293,6 @@ WHITE_LAMPS = [
     area(REGULAR, "c"),
     area(line(9, 9)),
 ]
-SAME_LAMPS = [area(d65_xml(3), "a"), area(d65_xml(1), "b")]
 
 
 @pytest.mark.parametrize(
@@ -295,7 +300,7 @@ SAME_LAMPS = [area(d65_xml(3), "a"), area(d65_xml(1), "b")]
     [
         ("a", WHITE_LAMPS, NM - 360),
         ("a, b c", WHITE_LAMPS, 2.5 * (NM - 360)),
-        ("b", SAME_LAMPS, d65_radiance(NM, D65_LUMINANCE)),
+        ("b", [area(d65_xml(3), "a"), area(d65_xml(1), "b")], d65_radiance(NM, D65_LUMINANCE)),
     ],
 )
 def test_light_of_white_is_the_sum_of_its_lamps(
@@ -314,17 +319,20 @@ def test_light_of_white_is_the_sum_of_its_lamps(
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.25])
-def test_wrong_texels_raise_with_their_position(wrong: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "read",
+    [pixsim.render, partial(make_render_plan, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)],
+)
+def test_wrong_texels_raise_with_their_position(
+    read: Callable[[Scene], object], wrong: float, tmp_path: Path
+) -> None:
     """By the child, and by this process, which reads a chart in focus itself."""
     texels = np.ones((6, 8), np.float32)
     texels[2, 5] = wrong
     pixsim.write_chart(tmp_path / "chart.exr", texels)
     scene = load("flat", chart=str(tmp_path / "chart.exr"), resolution=8)
-    words = rf"chart\.exr': got {wrong} at row 2, column 5"
-    with pytest.raises(PixsimError, match=words):
-        pixsim.render(scene)
-    with pytest.raises(PixsimError, match=words):
-        make_render_plan(scene, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)
+    with pytest.raises(pixsim.PixsimError, match=rf"chart\.exr': got {wrong} at row 2, column 5"):
+        read(scene)
 
 
 # --- The content hash ---
@@ -334,17 +342,15 @@ def test_content_hash_depends_on_the_light_only(tmp_path: Path) -> None:
     """Not on the folder, the name, remarks, or a default that is stated; on textures and
     parameters.
     """
-    folder = shutil.copytree(packaged_scenes()["flat"].parent, tmp_path / "scenes")
-    path = folder / "other.xml"
-    text = (folder / "flat.xml").read_text(encoding="utf-8")
-    path.write_text(text.replace("<scene", "<!-- a remark -->\n\n<scene"), encoding="utf-8")
+    path = edited(tmp_path, "flat", ("<scene", "<!-- a remark -->\n\n<scene"))
+    path = path.rename(tmp_path / "other.xml")
     expected = load("flat").content_hash
     assert load(path).content_hash == load(path, resolution=1024).content_hash == expected
 
-    changes: list[dict[str, Any]] = [{"resolution": 512}, {"spp": 64}, {"luminance_cd_per_m2": 100}]
-    hashes = {load(path, **change).content_hash for change in changes}
-    pixsim.write_chart(folder / "charts/flat.exr", np.full((4, 4), 0.999, np.float32))
-    assert len(hashes | {load(path).content_hash, expected}) == 5
+    pixsim.write_chart(tmp_path / "chart.exr", np.full((4, 4), 0.999, np.float32))
+    changes = ("resolution", 512), ("spp", 64), ("luminance_cd_per_m2", 100), ("chart", "chart.exr")
+    hashes = {load(path, **{name: value}).content_hash for name, value in changes}
+    assert len(hashes | {expected}) == 5
 
 
 PAINTS = (
@@ -365,15 +371,14 @@ def test_content_hash_changes_with_nodes_and_meshes(tmp_path: Path) -> None:
         ('<ref id="a"/>', '<ref id="b"/>'),
         ("", ""),
     ]
-    hashes = []
-    for corner in (1, 2):
+    hashes = set()
+    for corner, (before, after) in product((1, 2), changes):
         mesh = f"v 0 0 1\nv 1 0 1\nv 0 1 {corner}\nf 1 2 3\n"
         (tmp_path / "mesh.obj").write_text(mesh, encoding="utf-8")
-        for before, after in changes:
-            path = scene_file(tmp_path, sensor_xml(), PAINTS.replace(before, after, 1))
-            hashes.append(load(path).content_hash)
-    assert len(set(hashes)) == len(hashes) == 12
-    assert load(path).content_hash == hashes[-1]
+        path = scene_file(tmp_path, sensor_xml(), PAINTS.replace(before, after, 1))
+        hashes.add(load(path).content_hash)
+    assert len(hashes) == 12
+    assert load(path).content_hash in hashes
 
 
 def test_a_sensor_without_film_and_sampler_has_those_of_mitsuba(tmp_path: Path) -> None:
@@ -381,3 +386,243 @@ def test_a_sensor_without_film_and_sampler_has_those_of_mitsuba(tmp_path: Path) 
     scene = load(scene_file(tmp_path, sensor, '<emitter type="constant"/>', BALL.format(0.1)))
     assert scene.film_shape(pixsim.Camera(), scene.parse()) == (576, 768)
     assert make_render_plan(scene).samples.full_spp == 4
+
+
+EVERY_KIND = """<scene version="3.0.0">
+    <sensor type="thinlens" id="camera"><float name="fov" value="38.594975"/><integer name="seed" value="-3"/>
+        <transform name="to_world"><lookat origin="0.1, 0, 0" target="0, 0, 1" up="0, 1, 0"/></transform></sensor>
+    <emitter type="constant"><rgb name="radiance" value="0.1, 2, 1e-9"/></emitter>
+    <emitter type="directional"><vector name="direction" x="0.3" y="-1" z="1e-7"/>
+        <spectrum name="irradiance" value="400:0.1, 550:0.3333333333, 700:0.7"/></emitter>
+    <bsdf type="diffuse" id="white"><spectrum name="reflectance" value="0.7"/></bsdf>
+    <shape type="sphere"><point name="center" x="0.1" y="2" z="3"/><boolean name="flip_normals" value="true"/>
+        <ref id="white"/></shape>
+</scene>"""
+OF_MITSUBA = {
+    "Transform": lambda value: value.matrix,
+    "Reference": lambda value: value.id(),
+    "ResolvedReference": lambda value: value.index(),
+}
+
+
+def agree(mine: Any, theirs: Any) -> bool:
+    """Return whether a plain value equals Mitsuba's, bit for bit."""
+    if isinstance(mine, list):
+        return np.array_equal(np.array(mine), np.array(theirs))
+    if isinstance(mine, trees.SpectrumTable):
+        values = [*theirs.wavelengths], [*theirs.values], theirs.is_uniform()
+        return (mine.wavelengths, mine.values, mine.uniform) == values
+    return type(mine) is type(theirs) and mine == theirs
+
+
+@pytest.mark.parametrize("name", [*packaged_scenes(), "every kind"])
+def test_tree_of_says_what_mitsuba_says(name: str) -> None:
+    """And so does what the cache has of it."""
+    text = EVERY_KIND if name == "every kind" else load(name).text().text
+    state = mitsuba.parse(text, READING)
+    made = trees.tree_of(state)
+    stored = trees._from_json(json.loads(json.dumps(trees._to_json(made))))
+    kinds = set()
+    for tree in (made, stored):
+        assert tree.id_to_index == dict(state.id_to_index)
+        for node, theirs in zip(tree.nodes, state.nodes, strict=True):
+            props = theirs.props
+            identity = (theirs.type.name, props.plugin_name(), props.id(), list(props.keys()))
+            assert (node.kind, node.plugin, node.id, list(node)) == identity
+            for key in node:
+                kind = props.type(key).name
+                kinds.add(kind)
+                value = OF_MITSUBA.get(kind, lambda value: value)(props[key])
+                assert node.kind_of(key) == kind
+                assert agree(node[key], value), (key, node[key], value)
+                assert kind != "Color" or node.text_of(key) == props.as_string(key)
+                if kind in trees.REFERENCES:
+                    assert trees.children(node, tree)[key] == state.id_to_index.get(value, value)
+    every = {"Float", "Integer", "Bool", "Transform", "Vector", "Color", "Spectrum", "Reference"}
+    assert name != "every kind" or every <= kinds
+
+
+def test_a_chart_is_seen_again_without_mitsuba(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its hash and the mean of its light, which takes no rays, as in another process."""
+    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path / "cache"))
+    seen = []
+    for _ in range(2):
+        trees._recent_tree.cache_clear()
+        scene = load("csf").with_resolution(256)
+        plan = make_render_plan(scene, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)
+        image, _ = render_until(scene, scene.camera(), plan, [], pixsim.Exposure())
+        seen.append((scene.content_hash, image.data.mean()))
+        monkeypatch.setattr(mitsuba, "import_mitsuba", lambda _: pytest.fail("Mitsuba is imported"))
+    assert seen[0] == seen[1]
+
+
+BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
+IRRADIANCE = 10.5
+AT_45 = math.cos(math.pi / 4) / math.pi  # radiance of a diffuser over irradiance
+DIRECTIONAL = (
+    '<emitter type="directional"><vector name="direction" x="0" y="-1" z="1"/>'
+    f'<spectrum name="irradiance" value="{BAND_NM}"/></emitter>'
+)
+GREY = '<bsdf type="diffuse"><spectrum name="reflectance" value="0.2"/></bsdf>'
+
+
+RADIANCE = f'<spectrum name="radiance" value="{BAND_NM}"/>'
+ROOM = f'<shape type="cube"><transform name="to_world"><scale value="9"/></transform>{GREY}</shape>'
+BOARD = (
+    '<shape type="rectangle"><transform name="to_world"><scale value="3"/><lookat origin="0,0,1"'
+    f' target="0,0,0" up="0,1,0"/></transform>{GREY}</shape>'
+)
+GREY_BALL = (
+    '<shape type="sphere"><point name="center" x="0" y="0" z="1.05"/><float name="radius"'
+    f' value="0.1"/>{GREY}</shape>'
+)
+TUBE = GREY_BALL.replace("sphere", "cylinder").replace(
+    '<point name="center" x="0" y="0" z="1.05"/>',
+    '<point name="p0" x="-1" y="0" z="1.05"/><point name="p1" x="1" y="0" z="1.05"/>',
+)
+SIGN = (
+    BOARD.replace('value="3"', 'value="0.1"')
+    .replace("0,0,1", "0,0.05,0.8")
+    .replace('target="0,0,0', 'target="0,0.05,0')
+    .replace("rectangle", "disk")
+)
+PIXEL: dict[str, Any] = {
+    "technology": "4t-bsi",
+    "pitch_um": 21.2,
+    "quantum_efficiency": [[400, 0.6], [1000, 0.2]],
+    "black_level_dn": 60,
+}
+SMALL: dict[str, Any] = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
+
+
+def plate_file(folder: Path, *contents: str) -> Path:
+    sensor = sensor_xml(lens_xml(38, focus_m=1))
+    return scene_file(folder, '<integrator type="path"/>', sensor, *contents)
+
+
+def plate_radiance(light: pixsim.SpectralImage) -> float:
+    return float(light.header["diffuser"]["w_per_m2_sr_nm"] @ light.band_width_nm)
+
+
+def test_radiance_is_reflectance_times_irradiance_over_pi(tmp_path: Path) -> None:
+    """Under a lamp at 45°; the board, of reflectance 0.2, is shown as 0.2 over that of the plate on
+    the axis, but for cos⁴ within a dot of 0.6°.
+    """
+    display = {"dots": 32, "bits": 16, "white": "diffuser", "diffuser_reflectance": 0.9}
+    path = plate_file(tmp_path, DIRECTIONAL, BOARD)
+    run = pixsim.run(path, pixel=PIXEL, resolution=32, display=display)
+    white = run.irradiance.header["white_w_per_m2_sr"]
+    assert white == pytest.approx(0.9 * IRRADIANCE * AT_45, rel=1e-4)
+    ideal = run.score.ideal
+    middle = ideal[ideal.shape[0] // 2, ideal.shape[1] // 2]
+    assert middle == pytest.approx(0.2 / 0.9, rel=3e-3)
+
+
+def test_plate_in_uniform_light_has_the_radiance_of_the_light(tmp_path: Path) -> None:
+    # E = π L from all sides, to three standard errors: the lamps that nobody sees, behind the
+    # camera, count.
+    scene = load(
+        plate_file(tmp_path, f'<emitter type="constant">{RADIANCE}</emitter>', BOARD)
+    ).with_resolution(16)
+    assert plate_radiance(render(scene, diffuser=True)) == pytest.approx(IRRADIANCE, rel=3e-3)
+
+
+@pytest.fixture(scope="module")
+def checker() -> Scene:
+    return load("macbeth", resolution=16)
+
+
+@pytest.fixture(scope="module")
+def checker_light(checker: Scene) -> pixsim.SpectralImage:
+    return render(checker, diffuser=True)
+
+
+def test_packaged_checker_takes_its_stated_white(
+    checker: Scene, checker_light: pixsim.SpectralImage
+) -> None:
+    """Each of its lamps gives a perfect diffuser 1000 cd/m²; the plan names the plate as what is
+    rendered by it does.
+    """
+    display = pixsim.Display(white="diffuser", diffuser_reflectance=0.5)
+    settings = imaging(pixsim.Camera(), pixsim.Pixel(), display=display)
+    white = white_header([(settings, checker_light)])
+    assert white["luminance_cd_per_m2"] == pytest.approx(500, rel=1e-4)
+    plan = make_render_plan(replace(checker, diffuser=True))
+    assert plan.light.white_name == white_light(checker_light)[1]
+
+
+def test_light_that_does_not_say_it_is_refused(
+    checker: Scene, checker_light: pixsim.SpectralImage, tmp_path: Path
+) -> None:
+    """That of a render that was not asked for it; light that was is read back with it."""
+    job = pixsim.Camera(), pixsim.Pixel(pitch_um=84.8)
+    display = pixsim.Display(dots=32, white="diffuser", diffuser_reflectance=0.5)
+    with pytest.raises(pixsim.PixsimError, match=r"display\.white.*diffuser=True"):
+        pixsim.evaluate(render(checker), *job, display=display)
+
+    write_exr(tmp_path / "light.exr", checker_light)
+    lights = checker_light, pixsim.read_irradiance(tmp_path / "light.exr")
+    ideals = [pixsim.evaluate(light, *job, display=display).ideal for light in lights]
+    np.testing.assert_array_equal(*ideals)
+
+
+def test_texel_value_1_is_the_white_of_an_emissive_chart() -> None:
+    """As by default; in place of the white that the file of a target states, twice as bright."""
+    by_default = pixsim.run("csf", display={"dots": 32}, **SMALL)
+    display = {"dots": 32, "white": "diffuser"}
+    with pytest.warns(UserWarning, match="diffuser_reflectance is not used"):
+        run = pixsim.run("csf", display=display | {"diffuser_reflectance": 0.5}, **SMALL)
+    np.testing.assert_array_equal(run.score.ideal, by_default.score.ideal)
+    target = pixsim.run("target", display=display, **SMALL)
+    assert target.irradiance.header["luminance_cd_per_m2"] == pytest.approx(1000, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("contents", "expected_m"),
+    [
+        ((BOARD,), 0.998),
+        ((BOARD, GREY_BALL), 0.948),
+        ((BOARD, TUBE), 0.948),
+        ((GREY_BALL, ROOM), 0.948),
+        ((BOARD, SIGN), 0.7984),
+    ],
+)
+def test_plate_stands_before_the_plane_in_focus_and_before_what_is_there(
+    contents: tuple[str, ...], expected_m: float, tmp_path: Path
+) -> None:
+    """Within a step of a millimetre; it faces the lens."""
+    state = load(plate_file(tmp_path, DIRECTIONAL, *contents)).parse()
+    sensor = sensor_node(state, None)[1]
+    distance_m = plate_distance_m(state, sensor, 1.0)
+    assert expected_m - 1.1e-3 < distance_m <= expected_m + 1e-9
+    place = np.array(plate_transform(sensor, distance_m, 1.0)).reshape(4, 4)
+    np.testing.assert_allclose(place @ [0, 0, 0, 1], [0, 0, distance_m, 1], atol=1e-12)
+    normal = np.linalg.inv(place)[2, :3]
+    assert normal / np.linalg.norm(normal) == pytest.approx([0, 0, -1])
+
+
+def test_plate_without_light_is_refused(tmp_path: Path) -> None:
+    """A screen beside another object is no chart that is alone, and lights nothing that faces the
+    lens.
+    """
+    path = plate_file(
+        tmp_path,
+        BOARD.replace(GREY, f'<emitter type="area">{RADIANCE}</emitter>'),
+        GREY_BALL.replace("1.05", "1.2"),
+    )
+    with pytest.raises(pixsim.PixsimError, match=r"0\.998 m before the lens.* gets no light"):
+        render(load(path).with_resolution(16), diffuser=True)
+
+
+def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
+    """The plate comes first: with a target that nothing meets, no time is left behind the
+    picture.
+    """
+    scene = load(plate_file(tmp_path, DIRECTIONAL, BOARD)).with_resolution(16)
+    scene = replace(scene, diffuser=True)
+    job = (scene, scene.camera(), make_render_plan(scene), [pixsim.Pixel(**PIXEL)])
+    with pytest.warns(UserWarning, match="its time limit of 0.001 s"):
+        light, _ = render_until(*job, pixsim.Exposure(), render_noise=1e-9, max_seconds=1e-3)
+    assert plate_radiance(light) == pytest.approx(IRRADIANCE * AT_45, rel=1e-4)

@@ -1,9 +1,10 @@
-"""Scenes through real lenses: what the plan leaves out, the light and the blur of the picture, what a
-user is told, and light from beyond the picture.
+"""Scenes through real lenses, and out of focus: what the plan leaves out, light and blur of the
+picture, light from beyond it, depths in closed form, and what a user is told.
 """
 
 import math
 import pickle
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from helpers.edits import VARIANT, decision, lens_xml, scene_file, sensor_xml
 
-from pixsim import load_scene, render
+import pixsim
 from pixsim.base.arrays import Array
 from pixsim.base.digits import percent
 from pixsim.light.exr import read_channels, read_exr, write_channels, write_exr
@@ -20,17 +21,20 @@ from pixsim.light.spectral import RINGS, SpectralImage, photons_per_joule
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens, without_lens
+from pixsim.optics.lens_defocus import DEPTHS, depth_of_disc_m, finite_or_none, signed_disc_um
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.scene.guard.child import ChildTracer
+from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.real_lens import SEEN_NM, real_lens_warnings
-from pixsim.scene.renderer import mirror_margins
+from pixsim.scene.renderer import Renderer, mirror_margins
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.pixel_notes import focus_notes
 
-PIXEL = Pixel(pitch_um=6.5)
+PIXEL = pixsim.Pixel(pitch_um=6.5)
 Rendered = tuple[Scene, Camera, Plan, SpectralImage]
 THIN = """
 name = "thin"
@@ -72,7 +76,7 @@ def through(
     distance_m: float = 0.0,
     **options: object,
 ):
-    loaded = load_scene(scene, resolution=resolution, variant=VARIANT)
+    loaded = pixsim.load_scene(scene, resolution=resolution, variant=VARIANT)
     die = CameraOptions(die_mm=die_mm, **({"object_distance_m": distance_m} if distance_m else {}))
     camera = loaded.camera(die, LensOptions(file=lens, **options))
     return loaded, camera
@@ -82,7 +86,7 @@ def through(
 def singlet() -> Rendered:
     scene, camera = through("singlet", 6.0)
     plan = make_render_plan(scene, camera, PIXEL)
-    image = render(scene, camera, plan=plan)
+    image = pixsim.render(scene, camera, plan=plan)
     image.header[LENS_HEADER] |= {"spacing_um": 1500.0}  # few tiles, for time
     return scene, camera, plan, image
 
@@ -115,7 +119,7 @@ def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
 def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() -> None:
     """A uniform scene has nothing to blur but its fall-off."""
     scene, camera = through("double_gauss", 24.0, 33, "flat")
-    image = render(scene, camera, plan=make_render_plan(scene, camera, PIXEL))
+    image = pixsim.render(scene, camera, plan=make_render_plan(scene, camera, PIXEL))
     lens = traced_lens(camera.lens, camera.object_distance_m)
     field = lens.field_of_height(math.hypot(16, 16) * 24.0 / 33, lens.primary_nm)
     corner = image.planes[0, 0, 0] / image.planes[0, 16, 16]
@@ -133,8 +137,8 @@ def test_a_thin_enough_lens_is_left_out_and_the_picture_is_the_thin_lens_s_bit_f
     assert (line.kept, 0 < line.bound_e < 5e-4) == (False, True)
     thin = without_lens(camera)
     assert (thin.focal_length_mm, thin.f_number) == (camera.focal_length_mm, camera.f_number)
-    image = render(scene, camera, plan=plan)
-    other = render(scene, thin, plan=make_render_plan(scene, thin, PIXEL))
+    image = pixsim.render(scene, camera, plan=plan)
+    other = pixsim.render(scene, thin, plan=make_render_plan(scene, thin, PIXEL))
     np.testing.assert_array_equal(image.planes, other.planes)
     assert not {LENS_HEADER, RINGS} & image.header.keys()
 
@@ -144,12 +148,12 @@ def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmitt
 ) -> None:
     # From the axis to 20 degrees, of a luminance that is known: traced, rendered and weighted as
     # any real lens; the bands of D65 cost 2e-3 in luminance.
-    scene = load_scene("flat", resolution=33, luminance_cd_per_m2=1000)
+    scene = pixsim.load_scene("flat", resolution=33, luminance_cd_per_m2=1000)
     lens = LensOptions(file=thin_file, focal_length_mm=10.0)
     camera = scene.camera(CameraOptions(die_mm=5.2, transmittance=0.8), lens)
     plan = make_render_plan(scene, camera, PIXEL, exact=True)
     plan = replace(plan, film=replace(plan.film, tiling=Tiling(2000.0, 0.0, 0.0)))
-    lx = render(scene, camera, plan=plan).illuminance_lx()
+    lx = pixsim.render(scene, camera, plan=plan).illuminance_lx()
     y, x = (np.indices(lx.shape) - 16) * 5.2 / 33
     tangent = np.hypot(x, y) / camera.image_distance_mm
     assert tangent.max() == pytest.approx(math.tan(math.radians(20)), rel=0.05)
@@ -159,17 +163,23 @@ def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmitt
     assert ratio[16, 16] == pytest.approx(1, rel=2e-3)
 
 
-@pytest.mark.usefixtures("few_tiles")
 @pytest.mark.parametrize("full", [False, True])
-def test_plan_says_that_the_error_out_of_focus_is_not_known(full: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_deep", [False, True])
+def test_plan_says_that_the_error_out_of_focus_is_not_known(
+    is_deep: bool, full: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a scene with depth, and not of a chart in focus."""
-    path = scene_file(tmp_path, sensor_xml(lens_xml(40, 0.001, 0.1)), DEEP)
-    for scene, is_deep in ((load_scene(path), True), (load_scene("csf", resolution=32), False)):
-        camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file="singlet"))
-        plan = make_render_plan(scene, camera, PIXEL, full=full)
-        subjects = [line.subject for line in plan.decisions]
-        assert ("defocus of the lens" in subjects) == is_deep
-        assert any("its error is not known" in note for note in plan.warnings) == is_deep
+    # Plans take a moment where their tiles do not matter.
+    monkeypatch.setattr(
+        "pixsim.scene.real_lens.choose_tiling", lambda *_: Tiling(500.0, 20.0, 0.005)
+    )
+    deep = scene_file(tmp_path, sensor_xml(lens_xml(40, 0.001, 0.1)), DEEP)
+    scene = pixsim.load_scene(deep) if is_deep else pixsim.load_scene("csf", resolution=32)
+    camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file="singlet"))
+    plan = make_render_plan(scene, camera, PIXEL, full=full)
+    subjects = [line.subject for line in plan.decisions]
+    assert ("defocus of the lens" in subjects) == is_deep
+    assert any("its error is not known" in note for note in plan.warnings) == is_deep
 
 
 def test_light_that_does_not_fit_a_film_cell_is_said() -> None:
@@ -184,8 +194,8 @@ def test_light_that_does_not_fit_a_film_cell_is_said() -> None:
     inside = np.hypot(x, y) <= 1
     light = derive(PIXEL).quantum_efficiency(SEEN_NM) * photons_per_joule(SEEN_NM)
     field = lens.field_of_height(0.97 * math.hypot(12, 12), lens.primary_nm)
-    nm = np.array([np.average(SEEN_NM, weights=light)])
-    waves = lens.wavefront(np.array([field]), nm, x[inside], y[inside])
+    nm = np.average(SEEN_NM, weights=light)
+    waves = lens.wavefront(np.array([field]), np.array([nm]), x[inside], y[inside])
     miss_mm = np.maximum(np.abs(waves.x_mm[0]), np.abs(waves.y_mm[0]))
     assert plan.film.tiling.lacking == pytest.approx((miss_mm > 0.125).mean(), abs=0.1)
     assert any("Use a finer film" in note for note in plan.warnings)
@@ -204,13 +214,6 @@ def test_error_of_a_blur_is_said_above_its_tolerance(
 def thin_file(tmp_path: Path) -> str:
     (tmp_path / "thin.toml").write_text(THIN, encoding="utf-8")
     return str(tmp_path / "thin.toml")
-
-
-@pytest.fixture
-def few_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plans take a moment where their tiles do not matter."""
-    tiling = Tiling(500.0, 20.0, 0.005)
-    monkeypatch.setattr("pixsim.scene.real_lens.choose_tiling", lambda *_: tiling)
 
 
 DEEP = """<emitter type="constant"/>
@@ -239,7 +242,7 @@ def chart_scene(folder: Path, half_m: float, more: str = "") -> Scene:
     squares = np.kron(np.random.default_rng(2).uniform(0.1, 1.0, (40, 40)), np.ones((8, 8)))
     write_channels(folder / "chart.exr", {"Y": squares}, {})
     sensor = sensor_xml(lens_xml(5, 0.001, 1), size=(96, 96), spp=64)
-    return load_scene(scene_file(folder, sensor, CHART.replace("HALF", f"{half_m}"), more))
+    return pixsim.load_scene(scene_file(folder, sensor, CHART.replace("HALF", f"{half_m}"), more))
 
 
 def rendered_cells(scene: Scene, cells: int, **options: Any) -> tuple[SpectralImage, Camera, Plan]:
@@ -248,14 +251,13 @@ def rendered_cells(scene: Scene, cells: int, **options: Any) -> tuple[SpectralIm
     die = CameraOptions(die_mm=DIE_MM * cells / CELLS, object_distance_m=1.0)
     camera = scene.camera(die, SINGLET)
     plan = make_render_plan(scene, camera, PIXEL, **options)
-    return render(scene, camera, plan=plan), camera, plan
+    return pixsim.render(scene, camera, plan=plan), camera, plan
 
 
 def ring(rate: Array, cells: int = 6) -> Array:
     """Return the values within some cells of the border."""
-    border = np.ones(rate.shape, bool)
-    border[cells:-cells, cells:-cells] = False
-    return rate[border]
+    inner = np.zeros(np.array(rate.shape) - 2 * cells, bool)
+    return rate[np.pad(inner, cells, constant_values=True)]
 
 
 @pytest.mark.usefixtures("margin_tiles")
@@ -265,21 +267,23 @@ def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
     up to its border; each film has its widening.
     """
     scene = chart_scene(tmp_path, 0.1, more)
-    physics = derive(PIXEL)
     image, camera, plan = rendered_cells(scene, CELLS, exact=not more)
     larger, wide, _ = rendered_cells(scene, LARGER, exact=not more)
     assert plan.film.ends == (False, False)
     assert image.margin >= TILING.cells(image.pitch_um)[1] // 2
 
     middle = slice((LARGER - CELLS) // 2, (LARGER + CELLS) // 2)
-    expected = diffracted_rate(larger, wide, physics)[middle, middle]
-    reflected = image.with_planes(np.array(image.planes))
-    errors = [
-        np.sqrt(np.mean(ring(diffracted_rate(light, camera, physics) - expected) ** 2))
-        for light in (image, reflected)
-    ]
-    assert errors[0] < 0.02 * expected.std()
-    assert errors[1] > 5 * errors[0]
+    expected = diffracted_rate(larger, wide, derive(PIXEL))[middle, middle]
+    error, error_reflected = (
+        rms(ring(diffracted_rate(light, camera, derive(PIXEL)) - expected))
+        for light in (image, image.with_planes(np.array(image.planes)))
+    )
+    assert error < 0.02 * expected.std()
+    assert error_reflected > 5 * error
+
+
+def rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def border_rates(scene: Scene) -> tuple[Array, float, float]:
@@ -290,11 +294,12 @@ def border_rates(scene: Scene) -> tuple[Array, float, float]:
     assert image.margin == 12  # the reach of 21 cells, in blocks of 4
     exact = diffracted_rate(image, camera, derive(PIXEL))
     plan = replace(plan, samples=replace(plan.samples, exact=False, spp=64))
-    images = [render(scene.with_resolution(CELLS), camera, seed, plan=plan) for seed in (0, 1)]
-    rates = [diffracted_rate(sampled, camera, derive(PIXEL)) for sampled in images]
-    noise = np.sqrt(np.mean(ring(rates[0] - rates[1]) ** 2) / 2)
-    error = np.sqrt(np.mean([ring(rate - exact) ** 2 for rate in rates]))
-    return exact, noise / exact.std(), error / exact.std()
+    images = [
+        pixsim.render(scene.with_resolution(CELLS), camera, seed, plan=plan) for seed in (0, 1)
+    ]
+    first, second = (diffracted_rate(sampled, camera, derive(PIXEL)) for sampled in images)
+    error = rms([ring(first - exact), ring(second - exact)])
+    return exact, rms(ring(first - second)) / np.sqrt(2) / exact.std(), error / exact.std()
 
 
 @pytest.mark.usefixtures("margin_tiles")
@@ -302,10 +307,10 @@ def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
     """By texels as by samples, 1000 cells. A chart is the picture: its end is no edge of the scene,
     and does not darken the border.
     """
-    _, noise, error = border_rates(load_scene("csf"))
+    _, noise, error = border_rates(pixsim.load_scene("csf"))
     assert noise < 5e-3
     assert error == pytest.approx(noise, rel=0.15)
-    image, camera, plan = rendered_cells(load_scene("flat"), CELLS, exact=True)
+    image, camera, plan = rendered_cells(pixsim.load_scene("flat"), CELLS, exact=True)
     assert plan.film.ends == (True, True)
     row = diffracted_rate(image, camera, derive(PIXEL))[CELLS // 2]
     assert row[:3].mean() / row[8:11].mean() == pytest.approx(1, abs=0.02)  # the lens's fall-off
@@ -325,15 +330,23 @@ def test_a_chart_that_ends_beyond_the_film_is_black_there(tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("margin_tiles")
-def test_sides_at_which_a_scene_ends_are_found_one_by_one() -> None:
+@pytest.mark.parametrize(
+    ("lens", "height_mm", "ends", "margin"),
+    [
+        (SINGLET, None, (True, True), 8),  # no more than half of the picture
+        (SINGLET, 0.32, (False, True), 8),
+        (None, None, (True, True), 0),
+    ],
+)
+def test_sides_at_which_a_scene_ends_are_found_one_by_one(
+    lens: LensOptions | None, height_mm: float | None, ends: tuple[bool, bool], margin: int
+) -> None:
     """The chart of the slanted edge is a square; a thin lens needs no margin."""
-    scene = load_scene("slanted_edge", resolution=CELLS)
-    for height_mm, ends in ((None, (True, True)), (0.32, (False, True))):
-        camera = scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height_mm), SINGLET)
-        film = make_render_plan(scene, camera, PIXEL).film
-        assert film.ends == ends
-        assert film.margin((16, 16), 10.0) == 8  # no more than half of the picture
-    assert make_render_plan(scene, scene.camera(), PIXEL).film.margin((CELLS, CELLS), 10.0) == 0
+    scene = pixsim.load_scene("slanted_edge", resolution=CELLS)
+    camera = scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height_mm), lens)
+    film = make_render_plan(scene, camera, PIXEL).film
+    assert lens is None or film.ends == ends
+    assert film.margin((16, 16), 10.0) == margin
 
 
 @pytest.mark.parametrize("ends", [(True, True), (False, True), (True, False), (False, False)])
@@ -355,15 +368,111 @@ def test_margins_are_beside_the_picture_and_survive_files_and_copies(
     data = np.moveaxis(pictures, 0, 2) @ spectra
     light: dict[str, Any] = {"factors": (spectra, pictures)} if factored else {"data": data}
     image = SpectralImage([450.0, 550.0, 650.0], 100.0, 5.0, margin=4, **light)
-    write_exr(tmp_path / "light.exr", image)
+    path = tmp_path / "light.exr"
+    write_exr(path, image)
     stored = PictureFile(tmp_path).stored(image)
-    copies = [image, read_exr(tmp_path / "light.exr"), pickle.loads(pickle.dumps(image))]
-    for copy in (*copies, stored, stored.in_memory()):
+    pickled = pickle.loads(pickle.dumps(image))
+    for copy in (image, read_exr(path), pickled, stored, stored.in_memory()):
         assert (copy.margin, copy.shape) == (4, (16, 24))
         np.testing.assert_allclose(copy.data, data[4:-4, 4:-4], rtol=1e-6)
         np.testing.assert_allclose(copy.whole.data, data, rtol=1e-6)
 
-    channels, header = read_channels(tmp_path / "light.exr")
+    header = read_channels(path)[1]
     windows = [np.ravel(header[name]).tolist() for name in ("displayWindow", "dataWindow")]
     assert windows == [[0, 0, 23, 15], [-4, -4, 27, 19]]
-    assert {plane.shape for plane in channels.values()} == {(24, 32)}
+
+
+# A plane 0.3 m away, a part of the picture wide, turned about the vertical axis.
+EYE = '<transform name="to_world"><lookat origin="0, 0, -0.3" target="0, 0, 0" up="0, 1, 0"/></transform>'
+PLANE = """<default name="degrees" value="0"/><default name="half_width" value="1"/>
+    <integrator type="direct"/><emitter type="directional"><vector name="direction" value="0, 0, 1"/>
+        <spectrum name="irradiance" value="1"/></emitter>
+    <shape type="rectangle"><transform name="to_world"><scale x="$half_width" y="1"/>
+        <rotate y="1" angle="180"/><rotate y="1" angle="$degrees"/></transform></shape>"""
+GLASS = """<shape type="rectangle">
+    <transform name="to_world"><scale x="0.02" y="1"/><rotate y="1" angle="180"/><translate z="-0.1"/></transform>
+    <bsdf type="thindielectric"/>
+</shape>"""
+HALF_M = 0.3 * math.tan(math.radians(10.0))  # of the view at the plane
+
+
+def plane_file(folder: Path, more: str = "", focus_m: float = 0.3) -> Path:
+    sensor = sensor_xml(lens_xml(20, 0.002, focus_m) + EYE, size=(32, 32), spp=16)
+    return scene_file(folder, sensor, PLANE, more)
+
+
+def renderer_of(path: Path, variant: str | None = VARIANT, **parameters: float) -> Renderer:
+    scene = pixsim.load_scene(path, variant=variant, **parameters)
+    return Renderer(scene, scene.camera(), make_render_plan(scene, full=True), 0)
+
+
+def test_depths_of_a_tilted_plane_are_those_of_its_equation(tmp_path: Path) -> None:
+    """A ray of slope t along x meets a plane that is turned by θ about the vertical at 0.3 m / (1 ±
+    t tan θ).
+    """
+    renderer = renderer_of(plane_file(tmp_path), degrees=30.0)
+    depths_m = InProcessTracer(renderer.job).depths(8)[:, :, 0]
+    slopes = HALF_M / 0.3 * (2 * (np.arange(8) + 0.5) / 8 - 1)
+    expected_m = np.sort(0.3 / (1 + slopes * math.tan(math.radians(30.0))))
+    np.testing.assert_allclose(np.sort(depths_m, axis=1), [expected_m] * 8, rtol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("variant", [VARIANT, None])
+@pytest.mark.parametrize("tracer", [InProcessTracer, ChildTracer])
+def test_depths_are_infinite_beyond_shapes_and_unknown_behind_glass(
+    tracer: type[InProcessTracer | ChildTracer], variant: str | None, tmp_path: Path
+) -> None:
+    """The plane fills the middle half of the picture, and glass its middle: what lies behind it may
+    be in focus.
+    """
+    glass = GLASS.replace("0.02", str(HALF_M / 6))
+    renderer = renderer_of(plane_file(tmp_path, glass), variant, half_width=HALF_M / 2)
+    expected_m = [math.inf, math.inf, 0.3, math.nan, math.nan, 0.3, math.inf, math.inf]
+    np.testing.assert_allclose(tracer(renderer.job).depths(8)[4, :, 0], expected_m, rtol=1e-6)
+    assert renderer.depths_m == []
+
+
+@pytest.mark.parametrize(("sky", "farthest_m"), [("", 0.3), ('<emitter type="sunsky"/>', math.inf)])
+def test_a_picture_at_infinity_is_seen_beyond_all_shapes(
+    sky: str, farthest_m: float, tmp_path: Path
+) -> None:
+    renderer = renderer_of(plane_file(tmp_path, sky), half_width=0.01)
+    assert renderer.depths_m == pytest.approx([0.3, 0.3, farthest_m], rel=1e-6)
+
+
+def light_of(depths_m: list[float]) -> SpectralImage:
+    header = {DEPTHS: finite_or_none(depths_m)} if depths_m else {}
+    return SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)), header=header)
+
+
+@pytest.mark.parametrize(
+    "lens", [None, LensOptions(file="singlet", focal_length_mm=16.0)], ids=["thin", "real"]
+)
+@pytest.mark.parametrize(("side_um", "count"), [(-5.97, 0), (-6.03, 1), (5.97, 0), (6.03, 1)])
+def test_note_begins_where_the_least_disc_is_two_pixels(
+    side_um: float, count: int, lens: LensOptions | None, tmp_path: Path
+) -> None:
+    """With foreground and background further off; and not where depths are not known."""
+    scene = pixsim.load_scene(plane_file(tmp_path), variant=VARIANT)
+    camera = scene.camera(CameraOptions(die_mm=2.0, f_number=8.0), lens)
+    sharpest_m = depth_of_disc_m(camera, side_um)
+    assert signed_disc_um(camera, sharpest_m) == pytest.approx(side_um, rel=1e-9)
+    assert len(focus_notes(3.0, camera, light_of([0.2, sharpest_m, math.inf]))) == count
+    assert not focus_notes(3.0, camera, light_of([]))
+
+
+@pytest.mark.parametrize(
+    ("focus_m", "distance_m", "count"), [(0.3, None, 0), (0.3, 0.4, 1), (300.0, None, 1)]
+)
+def test_scene_out_of_focus_is_said(
+    focus_m: float, distance_m: float | None, count: int, tmp_path: Path
+) -> None:
+    """By an option, or by an XML in mm."""
+    scene = pixsim.load_scene(plane_file(tmp_path, focus_m=focus_m), variant=VARIANT)
+    camera = scene.camera(CameraOptions(object_distance_m=distance_m))
+    light = pixsim.render(scene, camera)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pixsim.evaluate(light, camera, pixsim.Pixel(pitch_um=8.0))
+    notes = [str(warning.message) for warning in caught]
+    assert sum("scene is at 0.3 m" in note for note in notes) == count
