@@ -104,7 +104,9 @@ def test_lux_of_a_lit_scene_scales_all_lamps_and_white(tmp_path: Path) -> None:
     assert after == pytest.approx({index: value / 4 for index, value in before.items()}, rel=1e-6)
     assert load(path, lux=50).white_cd_per_m2 == pytest.approx(15, rel=1e-12)
     assert load(path, lux=50, white_cd_per_m2=7).white_cd_per_m2 == 7
-    with pytest.raises(pixsim.PixsimError, match="'50' together with far, with a different balance"):
+    with pytest.raises(
+        pixsim.PixsimError, match="'50' together with far, with a different balance"
+    ):
         load(path, lux=50, far=1)
 
 
