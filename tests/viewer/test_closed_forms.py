@@ -19,26 +19,25 @@ from pixsim.light.spectral import d65
 from pixsim.light.standard import illuminant
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
-from pixsim.viewer import display as displays, scielab, sharpening
-from pixsim.viewer.adaptation import adaptation_matrix
-from pixsim.viewer.causes import _luminance_of_lightness, lightness_range
-from pixsim.viewer.colour_matrix import STANDARD_NM, chart_xyz, metamerism_index
+from pixsim.viewer import (
+    adaptation,
+    causes,
+    colour_matrix,
+    demosaic,
+    display as displays,
+    mtf as mtf_module,
+    scielab,
+    screen,
+    sharpening,
+    tone,
+)
 from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.delta_e_statistics import delta_e_statistics
-from pixsim.viewer.demosaic import (
-    demosaic_column_covariance,
-    demosaic_covariance,
-    demosaic_row_covariance,
-)
 from pixsim.viewer.denoising import anscombe, wiener
-from pixsim.viewer.mtf import _crosstalk_mtf, mtf_terms, terms_to_sensor
-from pixsim.viewer.screen import fraction_beyond_white
-from pixsim.viewer.tone import luminance_of, reinhard, toned
 
 DATA = Path(__file__).parents[1] / "data"
 D65 = np.array([95.047, 100.0, 108.883])
 LAMP_A = np.array([109.85, 100.0, 35.585])
-VIEW = {"white_xyz": D65, "samples_per_deg": 23.0}
 DISPLAY = Display()
 RAMP = np.linspace(0.0, 1.0, 257)[None]
 CAMERA = Camera(f_number=2.8, transmittance=0.9, object_distance_m=0.1)
@@ -72,7 +71,6 @@ PIXEL = Pixel(
     quantum_efficiency=0.6,
     fill_factor=1.0,
 )
-CROSS = np.array([[0.0, 0.1, 0.0], [0.1, 0.6, 0.1], [0.0, 0.1, 0.0]])
 STACKED = Pixel(
     technology="none",
     pitch_um=4.0,
@@ -213,13 +211,17 @@ DISPLAYS = [
     ),
     Claim(
         "share of dots beyond white",
-        lambda: fraction_beyond_white(np.array([[1.0, 1 + 1e-7], [1 + 1e-5, 0.2]])),
+        lambda: screen.fraction_beyond_white(np.array([[1.0, 1 + 1e-7], [1 + 1e-5, 0.2]])),
         0.25,
     ),
     Claim(
         "MTF of lens, photodiode, interpolation and dot",
         lambda: np.stack(
-            list(mtf_terms(imaging(CAMERA, PIXEL), FIELD, np.array([30.0]), 2.0, 5.0).values())
+            list(
+                mtf_module.mtf_terms(
+                    imaging(CAMERA, PIXEL), FIELD, np.array([30.0]), 2.0, 5.0
+                ).values()
+            )
         )[:, 0],
         [
             float(optics.diffraction_otf(30.0, 550.0, CAMERA.effective_f_number)),
@@ -230,20 +232,28 @@ DISPLAYS = [
     ),
     Claim(
         "MTF of light that four neighbours share",
-        lambda: _crosstalk_mtf(CROSS, 4.0, np.array([0.0, 62.5, 125.0])),
+        lambda: mtf_module._crosstalk_mtf(
+            np.array([[0.0, 0.1, 0.0], [0.1, 0.6, 0.1], [0.0, 0.1, 0.0]]),
+            4.0,
+            np.array([0.0, 62.5, 125.0]),
+        ),
         [1, 1 - 0.2, 1 - 0.4],
         atol=1e-15,
         why="1 - 2c(1 - cos 2πfp) of shares c = 0.1",
     ),
     Claim(
         "aperture of a pixel with a microlens: its pitch",
-        lambda: mtf_terms(imaging(CAMERA, STACKED), FIELD, np.array([60.0]))["microlens"],
+        lambda: mtf_module.mtf_terms(imaging(CAMERA, STACKED), FIELD, np.array([60.0]))[
+            "microlens"
+        ],
         [np.sinc(0.24)],
         rtol=1e-9,
     ),
     Claim(
         "terms of the display are not on the sensor",
-        lambda: list(terms_to_sensor({"lens": 0.5, "interpolation": 0.2, "dot": 0.1}).values()),
+        lambda: list(
+            mtf_module.terms_to_sensor({"lens": 0.5, "interpolation": 0.2, "dot": 0.1}).values()
+        ),
         [0.5],
     ),
 ]
@@ -251,7 +261,7 @@ COLOURS = [
     *(
         Claim(
             f"adaptation of colour-science: {name}",
-            lambda name=name: adaptation_matrix(LAMP_A, D65, name.lower()),
+            lambda name=name: adaptation.adaptation_matrix(LAMP_A, D65, name.lower()),
             colour.adaptation.matrix_chromatic_adaptation_VonKries(LAMP_A, D65, name),
             atol=1e-12,
             why="rounding: both have the published four digits",
@@ -260,21 +270,32 @@ COLOURS = [
     ),
     Claim(
         "no adaptation keeps chromaticities",
-        lambda: adaptation_matrix(LAMP_A / 100, D65, "none"),
+        lambda: adaptation.adaptation_matrix(LAMP_A / 100, D65, "none"),
         100 * np.eye(3),
         rtol=1e-15,
     ),
     Claim(
         "white of the chart under A",
-        lambda: 100 * chart_xyz(STANDARD_NM, illuminant("A", STANDARD_NM))[1],
+        lambda: (
+            100
+            * colour_matrix.chart_xyz(
+                colour_matrix.STANDARD_NM, illuminant("A", colour_matrix.STANDARD_NM)
+            )[1]
+        ),
         LAMP_A,
         atol=5e-3,
         why="CIE 15 sums in steps of 1 nm, not 5",
     ),
-    Claim("metamerism index", lambda: metamerism_index(np.array([1.0, 3.0])), 100 - 5.5 * 2),
+    Claim(
+        "metamerism index",
+        lambda: colour_matrix.metamerism_index(np.array([1.0, 3.0])),
+        100 - 5.5 * 2,
+    ),
     Claim(
         "S-CIELAB of a coloured grating",
-        lambda: scielab.filtered_lab((grating(3) * D65)[None], **VIEW)[0],
+        lambda: scielab.filtered_lab((grating(3) * D65)[None], white_xyz=D65, samples_per_deg=23.0)[
+            0
+        ],
         blurred_grating_lab(23.0, 3),
         atol=1e-10,
     ),
@@ -302,22 +323,27 @@ COLOURS = [
         math.hypot(1, 2 / 1.54),
         rtol=1e-12,
     ),
-    Claim("black to white", lambda: lightness_range(np.array([[0.0, 1.0]])), [0, 100], atol=1e-12),
+    Claim(
+        "black to white",
+        lambda: causes.lightness_range(np.array([[0.0, 1.0]])),
+        [0, 100],
+        atol=1e-12,
+    ),
     Claim(
         "luminance of a lightness",
-        lambda: [_luminance_of_lightness(lightness) for lightness in (4.0, 50.0)],
+        lambda: [causes._luminance_of_lightness(lightness) for lightness in (4.0, 50.0)],
         [4 * 27 / 24389, (66 / 116) ** 3],
         rtol=1e-12,
     ),
     Claim(
         "lightness of the primary with most contrast",
-        lambda: lightness_range(np.array([[[0.5, 0.0, 0.5], [0.5, 0.18, 0.5]]])),
+        lambda: causes.lightness_range(np.array([[[0.5, 0.0, 0.5], [0.5, 0.18, 0.5]]])),
         [0, 116 * 0.18 ** (1 / 3) - 16],
         atol=1e-12,
     ),
     Claim(
         "luminance of primaries",
-        lambda: luminance_of(np.ones((3, 1, 1)) * np.array([1.0, 0.0, 2.0])[:, None, None]),
+        lambda: tone.luminance_of(np.ones((3, 1, 1)) * np.array([1.0, 0.0, 2.0])[:, None, None]),
         [[(displays.XYZ_FROM_RGB[1] @ [1, 0, 2]) / 100]],
         rtol=1e-14,
     ),
@@ -331,28 +357,28 @@ COLOURS = [
 DEVELOPMENT = [
     Claim(
         "Reinhard et al. (2002), equation 4",
-        lambda: reinhard([-0.5, 1.0, 4.0], 4.0),
+        lambda: tone.reinhard([-0.5, 1.0, 4.0], 4.0),
         [-0.5, 0.53125, 1],
     ),
     Claim(
-        "Reinhard's slope at black", lambda: reinhard(1e-9, 4.0), 1e-9, rtol=2e-9, why="next term"
+        "Reinhard's slope at black", lambda: tone.reinhard(1e-9, 4.0), 1e-9, rtol=2e-9, why="next term"
     ),
     Claim(
         "the display's own gamma is no tone curve",
-        lambda: toned(RAMP, Develop(tone_curve="gamma", tone_gamma=DISPLAY.gamma), DISPLAY),
+        lambda: tone.toned(RAMP, Develop(tone_curve="gamma", tone_gamma=DISPLAY.gamma), DISPLAY),
         RAMP,
         atol=1e-12,
     ),
     Claim(
         "sRGB at half of its values",
-        lambda: toned(np.array([[0.21404114, 0.002]]), Develop(tone_curve="srgb"), DISPLAY),
+        lambda: tone.toned(np.array([[0.21404114, 0.002]]), Develop(tone_curve="srgb"), DISPLAY),
         [[0.5**2.2, (12.92 * 0.002) ** 2.2]],
         rtol=1e-7,
         why="IEC 61966-2-1: value 0.5 is light of 0.21404114",
     ),
     Claim(
         "a table is straight between its rows",
-        lambda: toned(
+        lambda: tone.toned(
             np.array([[0.1, 0.6, 3.0]]),
             Develop(tone_curve=[[0, 0], [0.2, 0.5], [1, 1]]),
             Display(gamma=2.0),
@@ -384,7 +410,7 @@ DEVELOPMENT = [
         Claim(
             f"white noise behind {method}, {phase}",
             lambda method=method, phase=phase: np.diag(
-                demosaic_covariance(phase, method, WHITE_NOISE)
+                demosaic.demosaic_covariance(phase, method, WHITE_NOISE)
             ),
             expected,
             atol=1e-14,
@@ -397,27 +423,27 @@ DEVELOPMENT = [
     ),
     Claim(
         "noise of large dots is that of n²/4, n²/2 and n²/4 samples",
-        lambda: np.diag(demosaic_covariance("rggb", "bilinear", WHITE_NOISE, 400.0)) * 400**2,
+        lambda: np.diag(demosaic.demosaic_covariance("rggb", "bilinear", WHITE_NOISE, 400.0)) * 400**2,
         [4, 2, 4],
         rtol=0.01,
         why="pixels that the edge of a dot cuts",
     ),
     Claim(
         "offsets of columns behind bilinear",
-        lambda: np.diag(demosaic_column_covariance("rggb", "bilinear", WHITE_NOISE)),
+        lambda: np.diag(demosaic.demosaic_column_covariance("rggb", "bilinear", WHITE_NOISE)),
         [0.75, 0.6875, 0.75],
         atol=1e-14,
     ),
     Claim(
         "offsets of columns fall with the width of a dot",
-        lambda: demosaic_column_covariance("rggb", "bilinear", WHITE_NOISE, 200.0) * 200,
+        lambda: demosaic.demosaic_column_covariance("rggb", "bilinear", WHITE_NOISE, 200.0) * 200,
         [[2, 1, 0], [1, 1, 1], [0, 1, 2]],
         atol=0.03,
         why="columns that the edge of a dot cuts; R takes every other column, B the others",
     ),
     Claim(
         "offsets of rows of one channel",
-        lambda: demosaic_row_covariance(["C"], "interpolate", [3.0]),
+        lambda: demosaic.demosaic_row_covariance(["C"], "interpolate", [3.0]),
         [[9.0]],
     ),
     Claim("Anscombe (1948)", lambda: anscombe.forward(100.0, 9.0), 2 * math.sqrt(109.375)),
@@ -600,13 +626,13 @@ def test_white_of_d65_by_the_eye_and_by_watts() -> None:
     """Electrons of the plate of 50 cd/m² in D65: luminance over 683 V(λ), and its radiance."""
     nm = np.arange(405.0, 700.0, 10.0)
     light = SpectralImage(nm, 10.0, 2.0, factors=(d65(nm), np.ones((1, 4, 4))))
-    settings = imaging(CAMERA, PIXEL, display=Display(white_cd_per_m2=50.0))
     lumens_per_watt = float(light.luminous_weight() @ d65(nm) / (10.0 * d65(nm).sum()))
-    in_watts = imaging(CAMERA, PIXEL, display=Display(white_w_per_m2_sr=50.0 / lumens_per_watt))
     check(
         "white in W m⁻² sr⁻¹",
-        displays.white_rate(in_watts, light),
-        displays.white_rate(settings, light),
+        displays.white_rate(
+            imaging(CAMERA, PIXEL, display=Display(white_w_per_m2_sr=50.0 / lumens_per_watt)), light
+        ),
+        displays.white_rate(imaging(CAMERA, PIXEL, display=Display(white_cd_per_m2=50.0)), light),
         rtol=1e-9,
         why="rounding",
     )
@@ -620,5 +646,6 @@ def test_maps_of_the_first_public_code(name: str) -> None:
         pair = [file[f"{part}_over_white"] * white for part in ("reference", "test")]
         view = {"white_xyz": white, "samples_per_deg": float(file["samples_per_deg"])}
         expected = file["delta_e_1976"]
-    delta_e = scielab.delta_e_map(*pair, **view, filters="zhang1996")
-    np.testing.assert_allclose(delta_e, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        scielab.delta_e_map(*pair, **view, filters="zhang1996"), expected, rtol=0, atol=1e-9
+    )

@@ -10,17 +10,32 @@ import numpy as np
 import pytest
 from helpers.chains import imaging, imaging_chain
 
-import pixsim
-from pixsim import Camera, Develop, Display, Exposure, Pixel, PixsimError, SpectralImage, metrics
+from pixsim import (
+    Camera,
+    Develop,
+    Display,
+    Exposure,
+    Motion,
+    Pixel,
+    PixsimError,
+    SpectralImage,
+    evaluate,
+    metrics,
+    score_pictures,
+)
 from pixsim.sensor.camera_data import camera_sensitivities
-from pixsim.viewer import display as displays, scielab
-from pixsim.viewer.adaptation import adaptation_matrix
-from pixsim.viewer.colour_matrix import chart_xyz, check_noise_gains, colour_matrix
+from pixsim.viewer import (
+    adaptation,
+    colour_matrix,
+    display as displays,
+    scielab,
+    screen,
+    shown_metrics,
+)
 from pixsim.viewer.demosaic import demosaic, demosaic_covariance, remosaic
 from pixsim.viewer.denoising import filters, wiener
 from pixsim.viewer.denoising.filters import denoised_plane
 from pixsim.viewer.metric_options import MetricOptions
-from pixsim.viewer.screen import check_one_ideal, white_header
 from pixsim.viewer.settings_file import run_settings
 
 CAMERA = Camera(die_mm=0.1)
@@ -36,14 +51,15 @@ SHEET: dict[str, Any] = {"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"ena
 
 def light(nm: Any = (450.0, 550.0, 620.0), level: float = 1e-3, **header: Any) -> SpectralImage:
     """Return uniform light of few bands."""
-    data = np.full((50, 50, len(nm)), level)
     header = {"diffraction": False, **header}
-    return SpectralImage(np.array(nm), 10.0, 2.0, data=data, header=header)
+    return SpectralImage(
+        np.array(nm), 10.0, 2.0, data=np.full((50, 50, len(nm)), level), header=header
+    )
 
 
 def evaluated(image: SpectralImage | None = None, **settings: Any) -> object:
     arguments = {"camera": CAMERA, "pixel": Pixel(**SHEET), "display": DISPLAY} | settings
-    return pixsim.evaluate(light() if image is None else image, **arguments)
+    return evaluate(light() if image is None else image, **arguments)
 
 
 def coloured(pitch_um: float = 4.0, image: SpectralImage | None = None, **fields: Any) -> object:
@@ -51,29 +67,32 @@ def coloured(pitch_um: float = 4.0, image: SpectralImage | None = None, **fields
     colour = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
     develop = fields.pop("develop", Develop())
     colour |= fields.pop("colour", {})
-    pixel = Pixel(**SHEET | {"pitch_um": pitch_um, "colour": colour} | fields)
     nm = np.arange(405.0, 700.0, 10.0)
     display = DISPLAY.model_copy(update={"raster": "one_to_one"})
     image = light(nm) if image is None else image
     return imaging_chain(
-        image, CAMERA, pixel, Exposure(), display, develop=develop
+        image,
+        CAMERA,
+        Pixel(**SHEET | {"pitch_um": pitch_um, "colour": colour} | fields),
+        Exposure(),
+        display,
+        develop=develop,
     ).development.matrix
 
 
 def lamp(*lines_nm: float) -> SpectralImage:
-    """Return light of a lamp of few wavelengths."""
     nm = np.arange(400.0, 701.0, 5.0)
-    power = np.isin(nm, lines_nm).astype(float)
-    factors = [power], np.full((1, 50, 50), 1e-3)
+    factors = [np.isin(nm, lines_nm).astype(float)], np.full((1, 50, 50), 1e-3)
     return SpectralImage(nm, 5.0, 2.0, factors=factors, header={"diffraction": False})
 
 
 def sized(rows: int, columns: int, pitch_um: float, dots: int = 512) -> object:
-    """Return the score of a picture of some samples."""
-    data = np.ones((rows, columns, 1))
-    image = SpectralImage([550.0], 10.0, 20.0, data=data, header={"luminance_cd_per_m2": 1e9})
-    camera = Camera(die_mm=0.02 * columns)
-    return pixsim.evaluate(image, camera, Pixel(pitch_um=pitch_um), display=Display(dots=dots))
+    image = SpectralImage(
+        [550.0], 10.0, 20.0, data=np.ones((rows, columns, 1)), header={"luminance_cd_per_m2": 1e9}
+    )
+    return evaluate(
+        image, Camera(die_mm=0.02 * columns), Pixel(pitch_um=pitch_um), display=Display(dots=dots)
+    )
 
 
 def overlapping() -> dict[str, Any]:
@@ -84,7 +103,6 @@ def overlapping() -> dict[str, Any]:
     return {name: np.stack([nm, bell], axis=1).tolist() for name, bell in bells.items()}
 
 
-MIXED = {"stack": {"height_um": 3.0, "index": 1.5, "microlens": "square"}}
 ROWS: dict[str, tuple[Callable[[], object], str]] = {
     # --- white
     "no white": (
@@ -92,7 +110,7 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
         r"white_cd_per_m2: got no value.*Set Display\(white_cd_per_m2=",
     ),
     "dark picture": (
-        lambda: white_header([(imaging(CAMERA, Pixel(**SHEET)), light(level=0.0))]),
+        lambda: screen.white_header([(imaging(CAMERA, Pixel(**SHEET)), light(level=0.0))]),
         "too dark to estimate it",
     ),
     "luminance of infrared light": (
@@ -116,7 +134,7 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
         "state the same quantity",
     ),
     "grey and coloured sensors": (
-        lambda: check_one_ideal(["a"], {"b": np.array([[[0.5, 0.2, 0.5]]])}),
+        lambda: screen.check_one_ideal(["a"], {"b": np.array([[[0.5, 0.2, 0.5]]])}),
         "sensors: got a without colour filters and b",
     ),
     # --- sizes
@@ -130,14 +148,14 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "motion beyond the margin": (
         lambda: evaluated(
-            motion=pixsim.Motion(image_um_per_s=(1e4, 0.0), margin_um=1.0),
+            motion=Motion(image_um_per_s=(1e4, 0.0), margin_um=1.0),
             exposure=Exposure(integration_s=0.01),
         ),
         "motion: got a path of 100 µm .*allowed: at most",
     ),
     "motion of pixels as dots": (
         lambda: evaluated(
-            motion=pixsim.Motion(image_um_per_s=(2e3, 0.0)),
+            motion=Motion(image_um_per_s=(2e3, 0.0)),
             exposure=Exposure(integration_s=0.01),
             display=DISPLAY.model_copy(update={"raster": "one_to_one"}),
         ),
@@ -161,35 +179,35 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
     "lamp of two wavelengths": (lambda: coloured(image=lamp(450.0, 620.0)), "lamp.*rank 2"),
     "lamp without blue": (lambda: coloured(image=lamp(700.0)), "colour under .* got"),
     "lamp too saturated": (
-        lambda: adaptation_matrix([1.0985, 1.0, 0.35585], [1e-3, 1.0, 5.0], "bradford"),
+        lambda: adaptation.adaptation_matrix([1.0985, 1.0, 0.35585], [1e-3, 1.0, 5.0], "bradford"),
         "to_white_xyz: got .*Choose adaptation 'none'",
     ),
-    "lamp without luminance": (lambda: chart_xyz(NM, 0 * NM), "power: got a lamp without"),
+    "lamp without luminance": (lambda: colour_matrix.chart_xyz(NM, 0 * NM), "power: got a lamp without"),
     "matrix of much noise": (
         lambda: coloured(colour={"sensitivities": None, "peak_quantum_efficiency": None,
                                  "quantum_efficiencies": overlapping()}),
         "pixels of 4 µm: .*noise gains of .* in R, G, B.*up to 10",
     ),
-    "gains above 10": (lambda: check_noise_gains(2000 * np.eye(3), D65), "gains up to 10"),
-    "colours that mix": (lambda: coloured(0.5, **MIXED), "larger pixels mix the channels less"),
+    "gains above 10": (lambda: colour_matrix.check_noise_gains(2000 * np.eye(3), D65), "gains up to 10"),
+    "colours that mix": (lambda: coloured(0.5, **{"stack": {"height_um": 3.0, "index": 1.5, "microlens": "square"}}), "larger pixels mix the channels less"),
     "gains of other channels": (
         lambda: coloured(develop=Develop(white_balance=(1.0, 2.0))),
         "white_balance: got 2 gains for 3 channels",
     ),
-    "sensitivities from 420 nm": (lambda: colour_matrix(NM[8:], CURVES[8:]), "at least 400 to 700"),
+    "sensitivities from 420 nm": (lambda: colour_matrix.colour_matrix(NM[8:], CURVES[8:]), "at least 400 to 700"),
     "gap of sensitivities": (
-        lambda: colour_matrix(np.delete(NM, slice(30, 36)), np.delete(CURVES, slice(30, 36), 0)),
+        lambda: colour_matrix.colour_matrix(np.delete(NM, slice(30, 36)), np.delete(CURVES, slice(30, 36), 0)),
         "a gap from 525 to 560 nm",
     ),
-    "falling wavelengths": (lambda: colour_matrix(NM[::-1], CURVES[::-1]), "increasing order"),
-    "channels first": (lambda: colour_matrix(NM, CURVES.T), r"allowed: \(81, channels\)"),
-    "two channels": (lambda: colour_matrix(NM, CURVES[:, :2]), "three channels or more"),
+    "falling wavelengths": (lambda: colour_matrix.colour_matrix(NM[::-1], CURVES[::-1]), "increasing order"),
+    "channels first": (lambda: colour_matrix.colour_matrix(NM, CURVES.T), r"allowed: \(81, channels\)"),
+    "two channels": (lambda: colour_matrix.colour_matrix(NM, CURVES[:, :2]), "three channels or more"),
     "channel without response": (
-        lambda: colour_matrix(NM, CURVES * [1, 0, 1]),
+        lambda: colour_matrix.colour_matrix(NM, CURVES * [1, 0, 1]),
         r"no response of channel \[1\]",
     ),
-    "no response": (lambda: colour_matrix(NM, 0 * CURVES), "0 everywhere"),
-    "two equal channels": (lambda: colour_matrix(NM, CURVES[:, [0, 1, 1]]), "D55: .*of rank 2"),
+    "no response": (lambda: colour_matrix.colour_matrix(NM, 0 * CURVES), "0 everywhere"),
+    "two equal channels": (lambda: colour_matrix.colour_matrix(NM, CURVES[:, [0, 1, 1]]), "D55: .*of rank 2"),
     # --- demosaicing
     "Bayer method of another pattern": (
         lambda: demosaic(np.ones((8, 8)), QUAD, "bilinear"),
@@ -342,23 +360,23 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
     ),
     # --- pictures of other programs
     "pictures of other shapes": (
-        lambda: pixsim.score_pictures(GREY, GREY[:3]),
+        lambda: score_pictures(GREY, GREY[:3]),
         r"shapes \(4, 6\) and \(3, 6\)",
     ),
     "grey and colour": (
-        lambda: pixsim.score_pictures(GREY, np.repeat(GREY[..., None], 3, axis=2)),
+        lambda: score_pictures(GREY, np.repeat(GREY[..., None], 3, axis=2)),
         "equal shapes. Grey light is",
     ),
     "picture of one axis": (
-        lambda: pixsim.score_pictures(GREY[0], GREY[0]),
+        lambda: score_pictures(GREY[0], GREY[0]),
         r"ideal: got an array of shape \(6,\)",
     ),
     "picture of codes": (
-        lambda: pixsim.score_pictures(GREY, np.full((4, 6), 128, np.uint8)),
+        lambda: score_pictures(GREY, np.full((4, 6), 128, np.uint8)),
         "image: got whole numbers up to 128, which are codes",
     ),
     "metric of a frame": (
-        lambda: pixsim.score_pictures(GREY, GREY, metrics=["acutance"]),
+        lambda: score_pictures(GREY, GREY, metrics=["acutance"]),
         "'acutance'; allowed: the frame of a sensor",
     ),
 }  # fmt: skip
@@ -381,10 +399,27 @@ def test_metric_of_a_user_is_one_finite_number(value: Any) -> None:
         evaluated(metrics=[wrong])
 
 
-def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(filters, "find_spec", lambda name: None)
-    with pytest.raises(PixsimError, match=r"needs scikit-image.*pip install 'pixsim\[denoise\]'"):
-        denoised_plane(PLANE, 1.0, "wavelet")
+@pytest.mark.parametrize(
+    ("module", "call", "words"),
+    [
+        (
+            filters,
+            lambda: denoised_plane(PLANE, 1.0, "wavelet"),
+            r"needs scikit-image.*pip install 'pixsim\[denoise\]'",
+        ),
+        (
+            shown_metrics,
+            lambda: score_pictures(GREY, GREY, metrics=["flip"]),
+            r"pip install 'pixsim\[flip\]'",
+        ),
+    ],
+)
+def test_missing_package_is_named(
+    monkeypatch: pytest.MonkeyPatch, module: Any, call: Callable[[], object], words: str
+) -> None:
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    with pytest.raises(PixsimError, match=words):
+        call()
 
 
 def test_files_name_no_function(tmp_path: Any) -> None:
