@@ -159,7 +159,7 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
             exposure=Exposure(integration_s=0.01),
             display=DISPLAY.model_copy(update={"raster": "one_to_one"}),
         ),
-        "motion: got .*take 'fixed_size'",
+        "motion: got .*'fixed_size'",
     ),
     "edges that do not increase": (
         lambda: displays.average_axis(np.ones(4), 1.0, 0.0, np.array([0.0, 2.0, 1.0]), 1, 0),
