@@ -183,12 +183,6 @@ SMALL_RECORDS: dict[str, dict[str, Any]] = {
 }
 
 
-def owner_of(name: str) -> str | None:
-    """The class of a method's dotted name."""
-    above = name.split(".")[-2]
-    return above if above[:1].isupper() else None
-
-
 def function_of(thing: Any) -> Any:
     """The function of a class method, whose module has the names of its annotations."""
     return getattr(thing, "__func__", thing)
@@ -243,10 +237,12 @@ def required(name: str) -> dict[str, Any]:
 
 def call(name: str, arguments: dict[str, Any]) -> Any:
     thing: Any = TARGETS[name]
-    if (owner := owner_of(name)) and not isinstance(thing, classmethod):
-        thing = getattr(INSTANCES[owner](), name.split(".")[-1])
-    elif owner:
-        thing = getattr(PUBLIC[name.rpartition(".")[0]], name.split(".")[-1])
+    above, _, method = name.rpartition(".")
+    owner = above.rpartition(".")[2]
+    if owner[:1].isupper():  # a class
+        thing = getattr(
+            PUBLIC[above] if isinstance(thing, classmethod) else INSTANCES[owner](), method
+        )
     return thing(**arguments)
 
 
@@ -428,9 +424,8 @@ def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> N
     """
     kind = TypeVar("kind", bound=np.generic)
     alias = TypeAliasType("ArrayLike", float | list)
-    array = TypeAliasType("NDArray", np.ndarray[Any, np.dtype[kind]], type_params=(kind,))[
-        np.float64
-    ]
+    numbers = np.ndarray[Any, np.dtype[kind]]
+    array = TypeAliasType("NDArray", numbers, type_params=(kind,))[np.float64]
     monkeypatch.setattr("numpy.typing.ArrayLike", alias)
 
     def value_of(light: Any, path: Any = "") -> Any:
@@ -441,10 +436,12 @@ def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> N
         door._arguments.cache_clear()
         function = door.checked(value_of, "pixsim.value_of")
         assert isinstance(function([1, 2], "x"), np.ndarray)
-        with pytest.raises(PixsimError, match=r"light: got 'bright'; allowed: .*number"):
-            function("bright")
-        with pytest.raises(PixsimError, match="path: got 3; allowed: the path of a file"):
-            function([1, 2], 3)
+        for wrong, words in (
+            (("bright",), r"light: got 'bright'; allowed: .*number"),
+            (([1, 2], 3), "path: got 3; allowed: the path of a file"),
+        ):
+            with pytest.raises(PixsimError, match=words):
+                function(*wrong)
 
 
 def test_every_public_name_is_called() -> None:

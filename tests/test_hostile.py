@@ -44,7 +44,6 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.optics.chief_rays import as_chief_ray_angles
 from pixsim.optics.glass import read_catalogue
 from pixsim.sensor.technology import load_technology
-from pixsim.show import figures
 from pixsim.studies.files import load_study
 from pixsim.studies.table import CHECK, COLUMNS, Store, check_of
 
@@ -474,20 +473,6 @@ def test_templates_escape_markup(path):
     text = path.read_text(encoding="utf-8")
     assert not re.search(r"\|\s*safe\b", text)
     assert "autoescape" not in text
-
-
-@pytest.mark.parametrize(
-    "name", [MARKUP, "$x", "$\\frac{$", "a\\b", "$$", "\\$x\\$", "x\x01y", "--->", "[b]"]
-)
-@figures.pixsim_style()
-def test_literal_shows_name_unchanged(name):
-    figure = figures.new_figure(12, 4)
-    axes = figure.subplots()
-    axes.plot([1, 2], label=figures.literal(name))
-    axes.legend()
-    svg = figures.svg_text(figure)
-    ET.fromstring(svg)
-    assert "<script" not in svg.replace("<!--", "").partition("<script")[0]
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -103,16 +104,11 @@ def takes_signals(pid: int) -> bool:
 def processes_of(group: int) -> list[str]:
     """Command lines of the living processes of a group."""
     command_lines = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit():
-            try:
-                state, _, process_group = (
-                    (folder / "stat").read_text().rpartition(")")[2].split()[:3]
-                )
-                if int(process_group) == group and state != "Z":
-                    command_lines.append((folder / "cmdline").read_text().replace("\0", " "))
-            except OSError:  # it has just ended
-                continue
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has just ended
+            state, _, process_group = stat.read_text().rpartition(")")[2].split()[:3]
+            if int(process_group) == group and state != "Z":
+                command_lines.append(stat.with_name("cmdline").read_text().replace("\0", " "))
     return command_lines
 
 
@@ -438,14 +434,9 @@ def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(
         process.kill()
         process.communicate(timeout=HANG_S)
         wait_for(lambda group=process.pid: not processes_of(group), GONE_S)
-        left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} - {
-            LOCK,
-            FILE_LIST,
-            "results.csv",
-        }
-        assert {name for name in left if not name.startswith(UNFINISHED)} <= set(
-            read_file_list(out).get("files", ())
-        ), delay_s
+        left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+        complete = {LOCK, FILE_LIST, "results.csv", *read_file_list(out).get("files", ())}
+        assert {name for name in left if not name.startswith(UNFINISHED)} <= complete, delay_s
         if "report.html" in left:
             assert (out / "report.html").read_text(encoding="utf-8").endswith("</html>"), delay_s
     assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {out}")[0] == 0
@@ -464,14 +455,10 @@ def test_output_folder_removes_leftovers_of_killed_process_only(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path, check=False, timeout=HANG_S)
     out = tmp_path / "out"
-    names = sorted(path.name for path in out.iterdir())
-    assert [re.sub(r"[0-9a-f]{8}", "#", name) for name in names] == [
-        f"{UNFINISHED}#",
-        f"{UNFINISHED}#",
-        LOCK,
-    ]
-    users = [".pixsim-notes", ".pixsim-0123abcde", "a.pixsim-0123abcd"]  # of other names
-    for name in users:
+    names = sorted(re.sub(r"[0-9a-f]{8}", "#", path.name) for path in out.iterdir())
+    assert names == [f"{UNFINISHED}#", f"{UNFINISHED}#", LOCK]
+    others = [".pixsim-notes", ".pixsim-0123abcde", "a.pixsim-0123abcd"]
+    for name in others:
         (out / name).touch()
     (out / ".pixsim-0123abcd").symlink_to(tmp_path)
     (tmp_path / f"{UNFINISHED}mine").mkdir()
@@ -479,11 +466,9 @@ def test_output_folder_removes_leftovers_of_killed_process_only(
         for folder in (out, tmp_path / "other"):
             with output_folder(folder):
                 pass
-        assert living.exists()
         assert temporary.exists()
-        assert sorted(path.name for path in out.iterdir()) == sorted(
-            [*users, ".pixsim-0123abcd", living.name]
-        )
+        names = sorted(path.name for path in out.iterdir())
+        assert names == sorted([*others, ".pixsim-0123abcd", living.name])
     assert not temporary.exists()
     assert {path.name for path in tmp_path.iterdir()} >= {"out", f"{UNFINISHED}mine"}
 
@@ -533,10 +518,8 @@ def test_command_refuses_folder_in_use(
 def test_without_locks_nothing_is_refused_or_removed(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
+    refused = OSError(number, os.strerror(number))
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=refused))
     left = tmp_path / ".pixsim-0123abcd"
     left.mkdir()
     with (

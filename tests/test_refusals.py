@@ -59,21 +59,24 @@ def outside(kind: Table) -> list[tuple[Any, str]]:
     match kind["type"]:
         case "float" | "int" as number:
             low, high = ends(kind)
-            digits = "d" if number == "int" else "g"
-            at_least = f"greater than or equal to {low:{digits}}"
+            is_int = number == "int"
+            digits = "d" if is_int else "g"
+            word = "a valid integer" if is_int else "a valid number"
+            below, above = low - 1, high + 1
+            if not is_int:
+                below, above = math.nextafter(low, -math.inf), math.nextafter(high, math.inf)
             at_most = f"less than or equal to {high:{digits}}"
             if "lt" in kind:
                 at_most = f"less than {kind['lt']:{digits}}"
-            word = "a valid integer" if number == "int" else "a valid number"
-            between = [(low + 0.5, word)] if number == "int" else []
-            tiny = (
-                [(1e-40, f"0, or at least {SMALLEST:g}")] if number == "float" and low <= 0 else []
-            )
-            below = low - 1 if number == "int" else math.nextafter(low, -math.inf)
-            above = high + 1 if number == "int" else math.nextafter(high, math.inf)
-            infinite = [(value, "a finite number") for value in (math.nan, math.inf, -math.inf)]
-            wrong_kind = [NO_NUMBER, *((value, word) for value in ("x", [], {}))]
-            return [(below, at_least), (above, at_most), *tiny, *between, *infinite, *wrong_kind]
+            return [
+                (below, f"greater than or equal to {low:{digits}}"),
+                (above, at_most),
+                *([(1e-40, f"0, or at least {SMALLEST:g}")] if not is_int and low <= 0 else []),
+                *([(low + 0.5, word)] if is_int else []),
+                *((value, "a finite number") for value in (math.nan, math.inf, -math.inf)),
+                NO_NUMBER,
+                *((value, word) for value in ("x", [], {})),
+            ]
         case "literal":
             choices = repr(kind["expected"][0])
             return [("no_such", choices), (3, choices), ([], choices), NO_NUMBER]
@@ -296,9 +299,10 @@ def test_command_line_refuses_what_a_field_does_not_allow(
 
     misses = []
     for table, faults in tables(record, is_option):
-        words = [
-            word for name, value in table.items() for word in (option_names[name], text_of(value))
-        ]
+        words = []
+        for name, value in table.items():
+            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            words += [option_names[name], text]
         code, out, err = command(line, *words)
         misses += missed(err, where, faults)
         misses += [f"exit code {code}, with {out!r}: {err}"] if (code, out) != (2, "") else []
@@ -307,10 +311,6 @@ def test_command_line_refuses_what_a_field_does_not_allow(
         misses.append(f"no-such-name = 1: got '{err}'")
     assert not misses, "\n".join(misses)
     assert list(tmp_path.iterdir()) == []
-
-
-def text_of(value: Any) -> str:
-    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 # --- At the ends
@@ -324,8 +324,8 @@ PROCESS = pixsim.load_technology("0.35um").model_dump()
 
 def derived_of_pixel(settings: Table) -> list[float]:
     readout = Readout.of(pixsim.derive(pixsim.Pixel(**settings)))
-    physics = [readout.full_well_e, readout.dark_current_e_per_s, readout.noise_floor_e]
-    return [*physics, readout.dn_per_e, readout.adc_range_e]
+    names = "full_well_e", "dark_current_e_per_s", "noise_floor_e", "dn_per_e", "adc_range_e"
+    return [getattr(readout, name) for name in names]
 
 
 def derived_of_camera(settings: Table) -> list[float]:
