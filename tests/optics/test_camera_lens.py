@@ -20,10 +20,9 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, jv
 
+from pixsim import PixsimError, SpectralImage
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
-from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,

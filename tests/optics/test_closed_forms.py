@@ -19,10 +19,8 @@ import pytest
 from helpers.claims import Claim, check
 from scipy.integrate import quad
 
-from pixsim import optics
-from pixsim.base.errors import PixsimError
+from pixsim import Camera, PixsimError, optics
 from pixsim.optics import stack as stacks
-from pixsim.optics.camera import Camera
 from pixsim.optics.ghosts import Ghost, find_ghosts, reflectances, unfolded_path
 from pixsim.optics.glass import (
     LINES_UM,

@@ -24,10 +24,8 @@ from helpers.foreign_light import (
 )
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.light.foreign import parse_light_unit
 from pixsim.light.spectral import OUTLIERS, RINGS, SpectralImage, bands_last_hint
-from pixsim.optics.exchange import read_irradiance
 
 CASES = Path(__file__).parents[1] / "data/cases"
 CAMERA = pixsim.Camera(
@@ -49,16 +47,16 @@ def test_files_read_back_bit_for_bit(tmp_path: Path) -> None:
         np.arange(370.0, 821.0, 10.0), 10.0, 1 / 3, factors=factors, header=header
     )
     pixsim.write_exr(tmp_path / "own.exr", image)
-    assert read_irradiance(tmp_path / "own.exr").digest() == image.digest()
+    assert pixsim.read_irradiance(tmp_path / "own.exr").digest() == image.digest()
     image.data.flat[:2] = 0.0, 1e-42
     pixsim.write_npz(tmp_path / "image.npz", image)
-    back = read_irradiance(tmp_path / "image.npz")
+    back = pixsim.read_irradiance(tmp_path / "image.npz")
     assert np.array_equal(bits(back.data), bits(image.data))
     for field in ("wavelength_nm", "band_width_nm", "pitch_um"):
         assert np.array_equal(getattr(back, field), getattr(image, field)), field
     written = {"source": "image.npz", "units": UNIT, "pixsim": pixsim.__version__}
     assert back.header == written | header
-    with pytest.raises(PixsimError, match="output file: got"):
+    with pytest.raises(pixsim.PixsimError, match="output file: got"):
         pixsim.write_npz(tmp_path / "nowhere" / "image.npz", image)
     assert {path.name for path in tmp_path.iterdir()} == {"own.exr", "image.npz"}
 
@@ -75,14 +73,14 @@ def test_light_may_ring_before_the_blur_of_a_real_lens(
     image = SpectralImage(NM, 10.0, 2.5, data=data, header={RINGS: True} if rings else {})
     pixsim.write_exr(tmp_path / "rings.exr", image)
     if not is_read:
-        with pytest.raises(PixsimError, match="row 1, column 2 of the band at 500 nm"):
-            read_irradiance(tmp_path / "rings.exr")
-        with pytest.raises(PixsimError, match="irradiance: got values from"):
+        with pytest.raises(pixsim.PixsimError, match="row 1, column 2 of the band at 500 nm"):
+            pixsim.read_irradiance(tmp_path / "rings.exr")
+        with pytest.raises(pixsim.PixsimError, match="irradiance: got values from"):
             image.validate()
         return
-    assert np.array_equal(bits(read_irradiance(tmp_path / "rings.exr").data), bits(data))
+    assert np.array_equal(bits(pixsim.read_irradiance(tmp_path / "rings.exr").data), bits(data))
     pixsim.write_npz(tmp_path / "rings.npz", image)
-    assert np.array_equal(read_irradiance(tmp_path / "rings.npz").data, np.maximum(data, 0))
+    assert np.array_equal(pixsim.read_irradiance(tmp_path / "rings.npz").data, np.maximum(data, 0))
 
 
 # Units
@@ -169,7 +167,7 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_layout_of_a_file_means_nothing(name: str, tmp_path: Path) -> None:
-    image = read_irradiance(LAYOUTS[name](tmp_path), pitch_um=2.5)
+    image = pixsim.read_irradiance(LAYOUTS[name](tmp_path), pitch_um=2.5)
     assert np.array_equal(bits(image.data), bits(light()))
     check("wavelengths", image.wavelength_nm, NM, rtol=1e-15, why="decimal")
     assert image.band_width_nm.tolist() == [10, 10, 10]
@@ -178,17 +176,17 @@ def test_layout_of_a_file_means_nothing(name: str, tmp_path: Path) -> None:
 def test_envi_without_byte_order_is_noted(tmp_path: Path) -> None:
     path = envi_text(tmp_path / "a.hdr", "byte order = 0\n|")
     with pytest.warns(UserWarning, match=r"'a\.hdr' states no byte order"):
-        assert np.array_equal(read_irradiance(path, pitch_um=1.0).data, light())
+        assert np.array_equal(pixsim.read_irradiance(path, pitch_um=1.0).data, light())
 
 
 @pytest.mark.parametrize("kind", ["u1", "i2", "u8", "f2", "f8", ">f4"])
 def test_numbers_of_any_type_are_read(kind: str, tmp_path: Path) -> None:
     values = np.arange(60).reshape(4, 5, 3)
     path = write_npz(tmp_path / "a.npz", data=values.astype(kind))
-    assert np.array_equal(read_irradiance(path).data, values)
+    assert np.array_equal(pixsim.read_irradiance(path).data, values)
     if kind in ("u1", "i2", "f8"):
         path = write_envi(tmp_path / "a.hdr", values.astype(kind))
-        assert np.array_equal(read_irradiance(path, pitch_um=1.0).data, values)
+        assert np.array_equal(pixsim.read_irradiance(path, pitch_um=1.0).data, values)
 
 
 # Numbers of a file
@@ -282,13 +280,13 @@ NUMBERS: dict[str, tuple[Callable[[Path], Path], dict[str, object], str, object]
 @pytest.mark.parametrize("name", NUMBERS)
 def test_numbers_of_a_file(name: str, tmp_path: Path) -> None:
     make, options, attribute, expected = NUMBERS[name]
-    image = read_irradiance(make(tmp_path), **options)
+    image = pixsim.read_irradiance(make(tmp_path), **options)
     check(name, getattr(image, attribute), np.array(expected), rtol=1e-6, why="float32")
 
 
 def test_few_wide_bands_are_noted() -> None:
     with pytest.warns(UserWarning, match=r"has 3 bands of up to 100 nm"):
-        read_irradiance(CASES / "20-exr-sparse/rgb3.exr", CAMERA)
+        pixsim.read_irradiance(CASES / "20-exr-sparse/rgb3.exr", CAMERA)
 
 
 # Radiance
@@ -301,13 +299,13 @@ def test_published_files_of_the_layout() -> None:
     folder = Path(colour.__file__).parent / "io" / "tests" / "resources"
     if not (folder / "D65.exr").is_file():
         pytest.skip("this colour-science has no test files")
-    image = read_irradiance(folder / "D65.exr", pixsim.Camera(f_number=1e3, die_mm=1e-3))
+    image = pixsim.read_irradiance(folder / "D65.exr", pixsim.Camera(f_number=1e3, die_mm=1e-3))
     expected = colour.SDS_ILLUMINANTS["D65"][image.wavelength_nm] / 100  # 560 nm is band 52
     check("D65", image.data[0, 0] / image.data[0, 0, 52], expected, rtol=2e-3, why="float16")
     assert set(image.band_width_nm) == {5.0}
     for name, words in (("Polarised", "polarised light"), ("BiSpectral", "reflectances")):
-        with pytest.raises(PixsimError, match=words):
-            read_irradiance(folder / f"{name}.exr")
+        with pytest.raises(pixsim.PixsimError, match=words):
+            pixsim.read_irradiance(folder / f"{name}.exr")
 
 
 @pytest.mark.parametrize(
@@ -321,7 +319,7 @@ def test_radiance_becomes_irradiance(kind, scale, units, tmp_path: Path) -> None
     camera = pixsim.Camera(
         focal_length_mm=4.0, f_number=2.0, die_mm=6.0, object_distance_m=0.1, transmittance=0.9
     )
-    image = read_irradiance(write_light(kind, tmp_path / "a", scale * data, units), camera)
+    image = pixsim.read_irradiance(write_light(kind, tmp_path / "a", scale * data, units), camera)
     v_mm = 4.0 * (1 + 4.0 / 96.0)
     row, column = np.mgrid[:41, :81]
     tan2 = ((row - 20) ** 2 + (column - 40) ** 2) * (6.0 / 81 / v_mm) ** 2
@@ -339,7 +337,7 @@ def test_firefly_does_not_set_the_exposure() -> None:
     """With its neighbour's light in its place, the integration time is the same."""
     camera = pixsim.Camera(focal_length_mm=4.0, die_mm=0.2)
     with pytest.warns(UserWarning, match=r"isolated samples, .*\(row 3, column 4\)"):
-        image = read_irradiance(CASES / "18-exr-nan-inf/firefly.exr", camera)
+        image = pixsim.read_irradiance(CASES / "18-exr-nan-inf/firefly.exr", camera)
     data = image.data.copy()
     data[3, 4] = data[3, 5]
     plain = SpectralImage(image.wavelength_nm, image.band_width_nm, image.pitch_um, data=data)
@@ -359,8 +357,8 @@ def test_truncated_envi_header_is_refused_or_complete(tmp_path: Path) -> None:
     for end in range(0, len(text), 3):
         path.write_text(text[:end])
         try:
-            image = read_irradiance(path, units=UNIT, pitch_um=1.0)
-        except PixsimError:
+            image = pixsim.read_irradiance(path, units=UNIT, pitch_um=1.0)
+        except pixsim.PixsimError:
             continue
         assert np.array_equal(image.data, light())
 
@@ -377,7 +375,9 @@ WRONG_UNITS = (
     "text", [*WRONG_UNITS.split(","), "(" * 5000, "W" * 5000, "W.m^" + "5" * 5000]
 )
 def test_units(text: str) -> None:
-    with pytest.raises(PixsimError, match=rf"units: got .*{len(text)} characters.*State them"):
+    with pytest.raises(
+        pixsim.PixsimError, match=rf"units: got .*{len(text)} characters.*State them"
+    ):
         parse_light_unit(text, typed=False)
 
 
@@ -483,8 +483,8 @@ def test_light_is_refused_by_its_cause(
     suffix: str, write, options: dict[str, object], words: str, tmp_path: Path
 ) -> None:
     path = write(tmp_path / f"a{suffix}")
-    with pytest.raises(PixsimError, match=words) as caught:
-        read_irradiance(path, **{"pitch_um": 2.5} | options)
+    with pytest.raises(pixsim.PixsimError, match=words) as caught:
+        pixsim.read_irradiance(path, **{"pitch_um": 2.5} | options)
     assert path.name in str(caught.value)
 
 
@@ -494,18 +494,18 @@ def test_truncated_light(kind: str, tmp_path: Path) -> None:
     whole = path.with_suffix(f".{kind}").read_bytes()
     for share in (0.0, 0.1, 0.5, 0.9, 0.99):
         path.with_suffix(f".{kind}").write_bytes(whole[: int(share * len(whole))])
-        with pytest.raises(PixsimError, match=path.name):
-            read_irradiance(path, pitch_um=2.5)
+        with pytest.raises(pixsim.PixsimError, match=path.name):
+            pixsim.read_irradiance(path, pitch_um=2.5)
 
 
 def test_envi_without_its_raw_file_or_reader(tmp_path: Path, monkeypatch) -> None:
     path = write_envi(tmp_path / "a.hdr")
     (tmp_path / "a.raw").unlink()
-    with pytest.raises(PixsimError, match="raw file in the same folder"):
-        read_irradiance(path)
+    with pytest.raises(pixsim.PixsimError, match="raw file in the same folder"):
+        pixsim.read_irradiance(path)
     monkeypatch.setitem(__import__("sys").modules, "spectral", None)
-    with pytest.raises(PixsimError, match="SPy is not installed"):
-        read_irradiance(path)
+    with pytest.raises(pixsim.PixsimError, match="SPy is not installed"):
+        pixsim.read_irradiance(path)
 
 
 def test_no_axis_has_the_bands() -> None:

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from helpers.claims import check
 
-import pixsim
-from pixsim.base.errors import PixsimError
+from pixsim import PixsimError, load_lens
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import find_glass, read_catalogue
 from pixsim.optics.lens import Lens
@@ -46,7 +45,7 @@ def edited(text: str, *changes: str) -> str:
 def load(folder: Path, text: str | bytes, name: str = "lens.zmx", **options: Any) -> Lens:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return pixsim.load_lens(path, **options)
+    return load_lens(path, **options)
 
 
 def same(lens: Lens, other: Lens, field_deg: float, waves: float) -> None:
@@ -72,7 +71,9 @@ ASPHERE = edited(
 UNINDENTED = "\n".join(line.strip() for line in AIR.splitlines())
 BEFORE = AIR[: AIR.index("SURF 1\n")]
 OLD_LISTS = "WAVL 4.861327E-1 5.875618E-1 6.562725E-1\nXFLD 0 0 0\nYFLD 0 17 24\n"
-AIR_TEXTS: dict[str, str | bytes] = {
+# name: text, name of the file, file of the same lens, field in degrees, gate in waves
+SAME: dict[str, tuple[str | bytes, str, str, float, float]] = {
+    **{name: (text, "lens.zmx", "wild/air.zmx", 10.0, 1e-9) for name, text in {
     "unindented": UNINDENTED,
     "all indented": "\n".join(f"  {line}" for line in AIR.splitlines()),
     "tabs": AIR.replace("  ", "\t"),
@@ -107,10 +108,7 @@ AIR_TEXTS: dict[str, str | bytes] = {
         "DISZ 5\n  GLAS N-BK7 0 0 1.5168 64.17\n|DISZ 2\n  GLAS N-BK7 0 0 1.5168 64.17\nSURF 2\n"
         "  TYPE COORDBRK\n  PARM 1 0\n  PARM 6 1\n  DISZ 3\n",
     ),
-}
-# name: text, name of the file, file of the same lens, field in degrees, gate in waves
-SAME: dict[str, tuple[str | bytes, str, str, float, float]] = {
-    **{name: (text, "lens.zmx", "wild/air.zmx", 10.0, 1e-9) for name, text in AIR_TEXTS.items()},
+}.items()},
     **{
         encoding: (
             edited(UTF16, "GLAS BK7|GLAS N-BK7").encode(encoding),
@@ -167,7 +165,7 @@ def test_lens_does_not_depend_on_how_its_file_is_written(name: str, tmp_path: Pa
     text, file, reference, field_deg, waves = SAME[name]
     path = DATA / reference
     lens = load(tmp_path, text, file)
-    same(lens, pixsim.load_lens(path if path.exists() else reference), field_deg, waves)
+    same(lens, load_lens(path if path.exists() else reference), field_deg, waves)
 
 
 @pytest.mark.parametrize(
@@ -297,9 +295,9 @@ def test_title_in_an_old_code_page(tmp_path: Path) -> None:
     assert load(tmp_path, text).prescription.title.startswith("Größe 5°")
 
 
-def test_packaged_lenses_have_their_names() -> None:
-    for name in ("cooke_triplet", "double_gauss", "phone", "singlet"):
-        assert read_prescription(name).name == name
+@pytest.mark.parametrize("name", ["cooke_triplet", "double_gauss", "phone", "singlet"])
+def test_packaged_lenses_have_their_names(name: str) -> None:
+    assert read_prescription(name).name == name
 
 
 # Notes: choices that a file leaves
@@ -362,9 +360,9 @@ def test_unknown_glass_offers_the_numbers_of_its_line(
 ) -> None:
     """The line to write gives the lens that lens.unknown_glass = "model" gives too."""
     with pytest.raises(PixsimError, match=rf"GLAS ___BLANK 1 0 {numbers} in its place"):
-        pixsim.load_lens(WILD / name)
+        load_lens(WILD / name)
     text = re.sub(r"GLAS .*", f"GLAS ___BLANK 1 0 {numbers}", (WILD / name).read_text())
-    model = pixsim.load_lens(WILD / name, unknown_glass="model")
+    model = load_lens(WILD / name, unknown_glass="model")
     same(load(tmp_path, text), model, 10.0, 1e-12)
     assert n_d(model) == pytest.approx(float(numbers.split()[0]), rel=1e-12)
 
@@ -379,16 +377,16 @@ def test_catalogue_of_the_user_takes_precedence(tmp_path: Path) -> None:
     path = tmp_path / "mine.agf"
     bk7 = AGF.format(name="BK7", n_d=1.5168, b3=1.01046945)
     path.write_text(bk7 + AGF.format(name="N-BK7", n_d=0, b3=0.3))
-    lens = pixsim.load_lens(WILD / "bk7.zmx", glass_catalogues=[path])
+    lens = load_lens(WILD / "bk7.zmx", glass_catalogues=[path])
     assert lens.prescription.glasses[0].name == "MINE:BK7"
     check("focal length", focal_mm(lens), FOCAL_MM, atol=1e-4, why="digits")
-    other = pixsim.load_lens(WILD / "air.zmx", glass_catalogues=[path])
+    other = load_lens(WILD / "air.zmx", glass_catalogues=[path])
     assert abs(focal_mm(other) - FOCAL_MM) > 0.05
     with pytest.warns(UserWarning, match="lens.glass_catalogues is not used"):
-        pixsim.load_lens("singlet", glass_catalogues=[path])
+        load_lens("singlet", glass_catalogues=[path])
     path.write_text(bk7 + AGF.format(name="N-BK7", n_d=1.51, b3=0.3))
     with pytest.raises(PixsimError, match=r"n_d from its formula: got 1.5\d+; allowed: 1.51"):
-        pixsim.load_lens(WILD / "bk7.zmx", glass_catalogues=[path])
+        load_lens(WILD / "bk7.zmx", glass_catalogues=[path])
 
 
 # Light that is stopped
@@ -396,8 +394,8 @@ def test_catalogue_of_the_user_takes_precedence(tmp_path: Path) -> None:
 
 def test_fixed_semi_diameters_clip_as_apertures_do() -> None:
     fields_deg = [0.0, 10.0, 15.0, 17.5, 20.0]
-    clipped = pixsim.load_lens(WILD / "fixed.zmx", semi_diameters="clip")
-    wanted = pixsim.load_lens(WILD / "same_with_flap.zmx").relative_illumination(fields_deg)
+    clipped = load_lens(WILD / "fixed.zmx", semi_diameters="clip")
+    wanted = load_lens(WILD / "same_with_flap.zmx").relative_illumination(fields_deg)
     got = clipped.relative_illumination(fields_deg)
     check("illumination", got, wanted, atol=1e-12, why="the same discs")
     assert wanted[3] == pytest.approx(0.082, abs=5e-4)  # .639 without
@@ -457,9 +455,9 @@ def test_vignetting_factors_turn_with_the_field(name: str, tmp_path: Path) -> No
     text = re.sub(r"YFLN 0 (\S+) (\S+)", r"YFLN 0 -\1 -\2", FACTORS)
     text = re.sub(r"VDYN 0 (\S+) (\S+)", r"VDYN 0 -\1 -\2", text)
     if name == "along x":
-        letters = {"XFLN": "YFLN", "VDXN": "VDYN", "VCXN": "VCYN"}
-        letters |= {other: letter for letter, other in letters.items()}
-        text = re.sub("[XY]FLN|V[DC][XY]N", lambda match: letters[match[0]], FACTORS)
+        text = re.sub(
+            "[XY](?=FLN)|(?<=V[DC])[XY](?=N)", lambda axis: "YX"["XY".index(axis[0])], FACTORS
+        )
     wanted = load(tmp_path, FACTORS).vignetting
     check("ellipses", load(tmp_path, text).vignetting, wanted, rtol=1e-12, why="rounding")
 
@@ -518,146 +516,173 @@ def test_configuration_sets_its_operands(tmp_path, text, number, measure, expect
 # Files that are refused
 
 F2 = 'glass = "SCHOTT:F2"|glass = '
-WRONG_TOML = [
-    (f'{F2}"SCHOTT:F2_MOLD"', r"surface 3 \(line 44\): glass: .*'SCHOTT:F2_MOLD'"),
-    (f'{F2}"mirror"', "'MIRROR', a mirror"),
-    (f"{F2}0.5", "glass: got 0.5"),
-    (f"{F2}{{ n_d = 1.6 }}", "exactly one of"),
-    (f"{F2}{{ n = 1.6, n_d = 1.6, v_d = 60 }}", "exactly one of"),
-    (f"{F2}{{ formula = 1, coefficients = [0.0] }}", "coefficients of glass"),
-    (f"{F2}{{ formula = 1, coefficients = [0.0, 1e-320, 0.01] }}", "coefficients"),
-    (f"{F2}{{ formula = 1, coefficients = [0.0, 1e300, 0.01] }}", "surface 3"),
-    (f"{F2}{{ formula = 4, coefficients = [0.0, 0, 1.0] }}", "coefficients of glass"),
-    (f"{F2}{{ formula = 1, coefficients = [0, 1, 1], range_um = [2, 1] }}", "range_um of glass"),
-    ("stop_surface = 4|stop_surface = 9", "stop of .*: got surfaces 4, 9"),
-    ("object_distance_mm = inf|object_distance_mm = -500", "object of .*: got -500 mm"),
-    ("conic = 0.0|conic = nan", r"surface 1 \(line 26\): conic"),
-    ("conic = 0.0|conics = 0.0", r"surface 1 \(line 26\): .*unknown name; .*'conic'"),
-    ("conic = 0.0|asphere = { A1 = 0.1 }", "A1 = 0.1; .*cone"),
-    ("conic = 0.0|asphere = { A4 = 1e-300 }", "asphere: got A4 = 1e-300"),
-    ("conic = 0.0|asphere = { B4 = 0.1 }", "asphere: got a term"),
-    ("thickness_mm = 3.25896|thickness_mm = -3.259", "thickness_mm: got -3.259 in the glass"),
-    ("radius_mm = 22.01359|radius_mm = 23.0", "radius_mm: got 23, with curvature_per_mm"),
-    ("radius_mm = 22.01359|radius_mm = 1e-9", "radius_mm: got 1e-09"),
-    ("value_mm = 10.0|", "aperture.value_mm: got none"),
-    ('units = "mm"|units = "in"', "units: got"),
-    ("max_deg = 20.0|max_deg = 195.0", "fields.max_deg: got 195"),
-]
 GLAS = "GLAS N-BAK1 0 0 1.572500121386"
 CURV = "CURV 7.061398863114783100E-002"
-WRONG_ZMX = [
-    ("  STOP\n|", "stop of .*: got no surface"),
-    ("GLAS N-BAK1 0|GLAS MIRROR 0", r"surface 2 \(line 75\), line 82: GLAS: .* a mirror"),
-    ("GLAS N-BAK1 0|GLAS N-BAK1_MOLD 0", "unknown glass 'N-BAK1_MOLD'"),
-    ("GLAS N-BAK1 0|GLAS J-LAK14 0", r"catalogues that the file names \(SCHOTT\)"),
-    (f"{GLAS}|GLAS ___BLANK 1 0 x", "GLAS: got .* a finite number"),
-    (f"{GLAS}|GLAS ___BLANK 1 0 0.9", "n_d = 0.9"),
-    ("TYPE STANDARD\n  CURV 7.0|TYPE GRINSUR1\n  CURV 7.0", "GRINSUR1, a gradient index"),
-    ("TYPE STANDARD\n  CURV 7.0|TYPE COORDBRK\n  CURV 7.0", "curvature, with a glass"),
-    ("TYPE STANDARD\n  CURV 7.0|TYPE XPOLYNOM\n  CURV 7.0", "surface type XPOLYNOM"),
-    ("SURF 0\n  TYPE STANDARD|SURF 0\n  TYPE EVENASPH", "an object of the type EVENASPH"),
-    ("SURF 0\n|SURF 0\n  CURV 0.1\n", "an object .* that is curved"),
-    ("SURF 1\n  TYPE STANDARD|SURF 1\n  TYPE COORDBRK\n  PARM 3 2.5", "tilt x 2.5"),
-    ("  FLAP 0 6.3 0|  FLAP 1 6.3 0", "FLAP with a hole inside"),
-    ("  FLAP 0 6.3 0|  IGNR 1", "IGNR"),
-    ("  FLAP 0 6.3 0|  SCBD 0 1 0", "SCBD"),
-    ("  FLAP 0 6.3 0|  SQAP 6.3 6.3", "SQAP"),
-    ("  FLAP 0 6.3 0|  FLAP 0 6.3 0\n  OBDC 0.5 0", "a decentred aperture"),
-    (f"{CURV}|CURV x", "CURV: got .* a finite number"),
-    (f'{CURV} 0 0 0 0 ""|CURV', "CURV: got nothing"),
-    (f"{CURV}|CURV 1e999", "CURV: got .* a finite number"),
-    (f"{CURV}|CURV 7,0613E-002", "CURV: .* decimal point"),
-    ("UNIT MM|UNIT FURLONG", "line 7: got UNIT"),
-    ("MODE SEQ|MODE NSC", "got MODE"),
-    ("DISZ INFINITY|DISZ -500", "an object at -500"),
-    ("FNUM 4.5 0|OBNA 0.1 0", "numerical aperture of 0.1, with the object at inf"),
-    ("FNUM 4.5 0|OBNA 0.1 1", "OBNA with an angle"),
-    ("FNUM 4.5 0|XNUM 4.5 0", "aperture of .*: got none"),
-    ("FTYP 0 0 3 3|FTYP 1 0 3 3", "object heights for an object at infinity"),
-    ("FTYP 0 0 3 3|FTYP 4 0 3 3", "FTYP: got 4"),
-    ("PWAV 2|PWAV 7", "PWAV: got 7"),
-    ("SURF 4\n|SURF 5\n", "a second SURF 5"),
-    ("SURF 13\n|SURF 99\n", "SURF 13 is missing"),
-    ("SURF 4\n|SURF x\n", "SURF without a number"),
-    ("3.64762539196E-1|1.2", "vignetting factors of field 3"),
-]
 DISTANCE = "DISZ INFINITY|DISZ 150"
-WRONG_AIR = [
-    (AIR, "DISZ INFINITY|GLAS SEAWATER 0 0 1.334 55.8\n  DISZ INFINITY", "medium 'SEAWATER'"),
-    ((WILD / "water.zmx").read_text(), "|", "medium n_d 1.334, V_d 55.8"),
-    (AIR, "CURV 0.02|CURV -0.03", "no real image: virtual"),
-    (AIR, DISTANCE.replace("150", "30"), "no real image: a back focal length of -"),
-    ((WILD / "hang.zmx").read_text(), "|", "no real image: afocal"),
-    ((WILD / "kepler_140.9.zmx").read_text(), "|", r"afocal, .* at f/1\.1e\+04"),
-    (edited(AIR, DISTANCE), "FTYP 0 0 3 1|FTYP 1 1 3 1", "telecentric object space"),
-    (AIR, "N-BK7 0 0 1.5168 64.17|517000 0", "unknown glass '517000'"),
-    (
-        AIR,
-        "N-BK7 0 0 1.5168 64.17|SCHOTT:N-BK7 4 0 0 0 0 0 0 0 0 -64.1673362374998",
-        "shift of glass 'SCHOTT:N-BK7'",
-    ),
-    (AIR, "DISZ INFINITY|DISZ 1e-40", "object of .*: got 1e-40"),
-    (AIR, "FNUM 4 0|FNUM 1e-40 1", "aperture of .*: got 1e-40"),
-    (edited(AIR, DISTANCE), "FNUM 4 0|OBNA 1e-40 0", "aperture of .*: got 1e-40"),
-    (AIR, "YFLN|VCYN -1e300\nYFLN", "vignetting factors of field 1"),
-    *(
-        (AIR, f"DISZ 46.5|DISZ 46.5\n  {kind} {value}", "semi_diameter_mm: got")
-        for kind in ("DIAM",)
-        for value in ("1e-40", "1e300")
-    ),
-    (EXTENDED.replace("XDAT", "XDUT"), "|", "XASPHERE without XDAT"),
-    (EXTENDED, "  XDAT 1 3|  PARM 2 2.5E-06\n  XDAT 1 3", "in both PARM and XDAT"),
-    (EXTENDED, "XDAT 2 1 |XDAT 2 0 ", "normalisation radius: got 0"),
-    (EXTENDED, "XDAT 2 1 |XDAT 2 1e-200 ", "A4 = inf"),
-]
 TWO = AIR + "MNUM 2 1\nTHIC 1 1 5\nTHIC 1 2 6\nYFIE 3 1 10\nYFIE 3 2 12\n"
-WRONG_CONFIGURATIONS = [
-    (AIR, "|", 2, r"lens\.configuration: got 2; allowed: 1"),
-    (TWO, "|", 3, r"lens\.configuration: got 3; allowed: 1 to 2"),
-    (TWO + "CRVT 2 1 1\nCRVT 2 2 3\nPRES 0 1 1\nPRES 0 2 1\n", "|", 2, r"got CRVT 2 \(line \d+\);"),
-    (TWO, "THIC 1 2|THIC 9 2", 2, "THIC: got surface 9"),
-    (TWO, "YFIE 3 2|YFIE 999 2", 2, "YFIE: got field 999"),
-    (TWO, "YFIE 3 2 12|YFIE 3 2 x", 2, "YFIE: got .* a finite number"),
-    *(
-        (TWO, f"DISZ 46.5|DISZ 46.5\n  {solve}", 2, f"the solve {solve} of a thickness")
-        for solve in ("MAZH 0 0.7", "TCOM 1 51.5", "TOLE 1 51.5")
-    ),
-    (edited(TWO + "APER 0 1 4\nAPER 0 2 5\n", "FNUM 4 0|FLOA\n"), "DISZ 5\n|DISZ 5\n  DIAM 3\n", 2, "APER: got"),
-]  # fmt: skip
-# Unknown glasses, with the numbers of their lines, and surfaces that are not traced: all at once.
-SEVERAL = [
-    (
-        "lens.zmx",
-        edited(ZMX, "GLAS N-BAK1 0|GLAS OLD1 0", "GLAS N-BALF4 0|GLAS OLD2 0"),
-        r"'OLD1'.*GLAS ___BLANK 1 0 1\.5\d+(.*\n)+.*'OLD2'",
-    ),
-    (
-        "lens.toml",
-        edited(TOML, 'glass = "HIKARI:SK16"|glass = "OLD1"', f'{F2}"OLD2"'),
-        r"'OLD1'(.*\n)+.*'OLD2'",
-    ),
-    (
-        "lens.zmx",
-        edited(
-            AIR,
-            "  STOP\n  TYPE STANDARD|  STOP\n  TYPE TOROIDAL",
-            "GLAS N-BK7|GLAS MIRROR",
-            "CURV -0.02|CURV 0",
-            "SURF 2\n  TYPE STANDARD|SURF 2\n  TYPE COORDBRK\n  PARM 1 .5",
-        ),
-        r"TOROIDAL.*\n.*MIRROR.*\n.*decentre x 0.5",
-    ),
-]
 # name of the file, text, options, words
 REFUSED: list[tuple[str, str, dict[str, Any], str]] = [
-    *(("lens.toml", edited(TOML, change), {}, words) for change, words in WRONG_TOML),
-    *(("lens.zmx", edited(ZMX, change), {}, words) for change, words in WRONG_ZMX),
-    *(("lens.zmx", edited(text, change), {}, words) for text, change, words in WRONG_AIR),
+    *(
+        ("lens.toml", edited(TOML, change), {}, words)
+        for change, words in [
+            (f'{F2}"SCHOTT:F2_MOLD"', r"surface 3 \(line 44\): glass: .*'SCHOTT:F2_MOLD'"),
+            (f'{F2}"mirror"', "'MIRROR', a mirror"),
+            (f"{F2}0.5", "glass: got 0.5"),
+            (f"{F2}{{ n_d = 1.6 }}", "exactly one of"),
+            (f"{F2}{{ n = 1.6, n_d = 1.6, v_d = 60 }}", "exactly one of"),
+            (f"{F2}{{ formula = 1, coefficients = [0.0] }}", "coefficients of glass"),
+            (f"{F2}{{ formula = 1, coefficients = [0.0, 1e-320, 0.01] }}", "coefficients"),
+            (f"{F2}{{ formula = 1, coefficients = [0.0, 1e300, 0.01] }}", "surface 3"),
+            (f"{F2}{{ formula = 4, coefficients = [0.0, 0, 1.0] }}", "coefficients of glass"),
+            (
+                f"{F2}{{ formula = 1, coefficients = [0, 1, 1], range_um = [2, 1] }}",
+                "range_um of glass",
+            ),
+            ("stop_surface = 4|stop_surface = 9", "stop of .*: got surfaces 4, 9"),
+            ("object_distance_mm = inf|object_distance_mm = -500", "object of .*: got -500 mm"),
+            ("conic = 0.0|conic = nan", r"surface 1 \(line 26\): conic"),
+            ("conic = 0.0|conics = 0.0", r"surface 1 \(line 26\): .*unknown name; .*'conic'"),
+            ("conic = 0.0|asphere = { A1 = 0.1 }", "A1 = 0.1; .*cone"),
+            ("conic = 0.0|asphere = { A4 = 1e-300 }", "asphere: got A4 = 1e-300"),
+            ("conic = 0.0|asphere = { B4 = 0.1 }", "asphere: got a term"),
+            (
+                "thickness_mm = 3.25896|thickness_mm = -3.259",
+                "thickness_mm: got -3.259 in the glass",
+            ),
+            ("radius_mm = 22.01359|radius_mm = 23.0", "radius_mm: got 23, with curvature_per_mm"),
+            ("radius_mm = 22.01359|radius_mm = 1e-9", "radius_mm: got 1e-09"),
+            ("value_mm = 10.0|", "aperture.value_mm: got none"),
+            ('units = "mm"|units = "in"', "units: got"),
+            ("max_deg = 20.0|max_deg = 195.0", "fields.max_deg: got 195"),
+        ]
+    ),
+    *(
+        ("lens.zmx", edited(ZMX, change), {}, words)
+        for change, words in [
+            ("  STOP\n|", "stop of .*: got no surface"),
+            ("GLAS N-BAK1 0|GLAS MIRROR 0", r"surface 2 \(line 75\), line 82: GLAS: .* a mirror"),
+            ("GLAS N-BAK1 0|GLAS N-BAK1_MOLD 0", "unknown glass 'N-BAK1_MOLD'"),
+            ("GLAS N-BAK1 0|GLAS J-LAK14 0", r"catalogues that the file names \(SCHOTT\)"),
+            (f"{GLAS}|GLAS ___BLANK 1 0 x", "GLAS: got .* a finite number"),
+            (f"{GLAS}|GLAS ___BLANK 1 0 0.9", "n_d = 0.9"),
+            ("TYPE STANDARD\n  CURV 7.0|TYPE GRINSUR1\n  CURV 7.0", "GRINSUR1, a gradient index"),
+            ("TYPE STANDARD\n  CURV 7.0|TYPE COORDBRK\n  CURV 7.0", "curvature, with a glass"),
+            ("TYPE STANDARD\n  CURV 7.0|TYPE XPOLYNOM\n  CURV 7.0", "surface type XPOLYNOM"),
+            ("SURF 0\n  TYPE STANDARD|SURF 0\n  TYPE EVENASPH", "an object of the type EVENASPH"),
+            ("SURF 0\n|SURF 0\n  CURV 0.1\n", "an object .* that is curved"),
+            ("SURF 1\n  TYPE STANDARD|SURF 1\n  TYPE COORDBRK\n  PARM 3 2.5", "tilt x 2.5"),
+            ("  FLAP 0 6.3 0|  FLAP 1 6.3 0", "FLAP with a hole inside"),
+            ("  FLAP 0 6.3 0|  IGNR 1", "IGNR"),
+            ("  FLAP 0 6.3 0|  SCBD 0 1 0", "SCBD"),
+            ("  FLAP 0 6.3 0|  SQAP 6.3 6.3", "SQAP"),
+            ("  FLAP 0 6.3 0|  FLAP 0 6.3 0\n  OBDC 0.5 0", "a decentred aperture"),
+            (f"{CURV}|CURV x", "CURV: got .* a finite number"),
+            (f'{CURV} 0 0 0 0 ""|CURV', "CURV: got nothing"),
+            (f"{CURV}|CURV 1e999", "CURV: got .* a finite number"),
+            (f"{CURV}|CURV 7,0613E-002", "CURV: .* decimal point"),
+            ("UNIT MM|UNIT FURLONG", "line 7: got UNIT"),
+            ("MODE SEQ|MODE NSC", "got MODE"),
+            ("DISZ INFINITY|DISZ -500", "an object at -500"),
+            ("FNUM 4.5 0|OBNA 0.1 0", "numerical aperture of 0.1, with the object at inf"),
+            ("FNUM 4.5 0|OBNA 0.1 1", "OBNA with an angle"),
+            ("FNUM 4.5 0|XNUM 4.5 0", "aperture of .*: got none"),
+            ("FTYP 0 0 3 3|FTYP 1 0 3 3", "object heights for an object at infinity"),
+            ("FTYP 0 0 3 3|FTYP 4 0 3 3", "FTYP: got 4"),
+            ("PWAV 2|PWAV 7", "PWAV: got 7"),
+            ("SURF 4\n|SURF 5\n", "a second SURF 5"),
+            ("SURF 13\n|SURF 99\n", "SURF 13 is missing"),
+            ("SURF 4\n|SURF x\n", "SURF without a number"),
+            ("3.64762539196E-1|1.2", "vignetting factors of field 3"),
+        ]
+    ),
+    *(
+        ("lens.zmx", edited(text, change), {}, words)
+        for text, change, words in [
+            (
+                AIR,
+                "DISZ INFINITY|GLAS SEAWATER 0 0 1.334 55.8\n  DISZ INFINITY",
+                "medium 'SEAWATER'",
+            ),
+            ((WILD / "water.zmx").read_text(), "|", "medium n_d 1.334, V_d 55.8"),
+            (AIR, "CURV 0.02|CURV -0.03", "no real image: virtual"),
+            (AIR, DISTANCE.replace("150", "30"), "no real image: a back focal length of -"),
+            ((WILD / "hang.zmx").read_text(), "|", "no real image: afocal"),
+            ((WILD / "kepler_140.9.zmx").read_text(), "|", r"afocal, .* at f/1\.1e\+04"),
+            (edited(AIR, DISTANCE), "FTYP 0 0 3 1|FTYP 1 1 3 1", "telecentric object space"),
+            (AIR, "N-BK7 0 0 1.5168 64.17|517000 0", "unknown glass '517000'"),
+            (
+                AIR,
+                "N-BK7 0 0 1.5168 64.17|SCHOTT:N-BK7 4 0 0 0 0 0 0 0 0 -64.1673362374998",
+                "shift of glass 'SCHOTT:N-BK7'",
+            ),
+            (AIR, "DISZ INFINITY|DISZ 1e-40", "object of .*: got 1e-40"),
+            (AIR, "FNUM 4 0|FNUM 1e-40 1", "aperture of .*: got 1e-40"),
+            (edited(AIR, DISTANCE), "FNUM 4 0|OBNA 1e-40 0", "aperture of .*: got 1e-40"),
+            (AIR, "YFLN|VCYN -1e300\nYFLN", "vignetting factors of field 1"),
+            *(
+                (AIR, f"DISZ 46.5|DISZ 46.5\n  {kind} {value}", "semi_diameter_mm: got")
+                for kind in ("DIAM",)
+                for value in ("1e-40", "1e300")
+            ),
+            (EXTENDED.replace("XDAT", "XDUT"), "|", "XASPHERE without XDAT"),
+            (EXTENDED, "  XDAT 1 3|  PARM 2 2.5E-06\n  XDAT 1 3", "in both PARM and XDAT"),
+            (EXTENDED, "XDAT 2 1 |XDAT 2 0 ", "normalisation radius: got 0"),
+            (EXTENDED, "XDAT 2 1 |XDAT 2 1e-200 ", "A4 = inf"),
+        ]
+    ),
     *(
         ("lens.zmx", edited(text, change), {"configuration": number}, words)
-        for text, change, number, words in WRONG_CONFIGURATIONS
+        for text, change, number, words in [
+            (AIR, "|", 2, r"lens\.configuration: got 2; allowed: 1"),
+            (TWO, "|", 3, r"lens\.configuration: got 3; allowed: 1 to 2"),
+            (
+                TWO + "CRVT 2 1 1\nCRVT 2 2 3\nPRES 0 1 1\nPRES 0 2 1\n",
+                "|",
+                2,
+                r"got CRVT 2 \(line \d+\);",
+            ),
+            (TWO, "THIC 1 2|THIC 9 2", 2, "THIC: got surface 9"),
+            (TWO, "YFIE 3 2|YFIE 999 2", 2, "YFIE: got field 999"),
+            (TWO, "YFIE 3 2 12|YFIE 3 2 x", 2, "YFIE: got .* a finite number"),
+            *(
+                (TWO, f"DISZ 46.5|DISZ 46.5\n  {solve}", 2, f"the solve {solve} of a thickness")
+                for solve in ("MAZH 0 0.7", "TCOM 1 51.5", "TOLE 1 51.5")
+            ),
+            (
+                edited(TWO + "APER 0 1 4\nAPER 0 2 5\n", "FNUM 4 0|FLOA\n"),
+                "DISZ 5\n|DISZ 5\n  DIAM 3\n",
+                2,
+                "APER: got",
+            ),
+        ]
     ),
-    *((name, text, {}, words) for name, text, words in SEVERAL),
+    # Unknown glasses, with the numbers of their lines, and surfaces that are not traced: all at once.
+    *(
+        (name, text, {}, words)
+        for name, text, words in [
+            (
+                "lens.zmx",
+                edited(ZMX, "GLAS N-BAK1 0|GLAS OLD1 0", "GLAS N-BALF4 0|GLAS OLD2 0"),
+                r"'OLD1'.*GLAS ___BLANK 1 0 1\.5\d+(.*\n)+.*'OLD2'",
+            ),
+            (
+                "lens.toml",
+                edited(TOML, 'glass = "HIKARI:SK16"|glass = "OLD1"', f'{F2}"OLD2"'),
+                r"'OLD1'(.*\n)+.*'OLD2'",
+            ),
+            (
+                "lens.zmx",
+                edited(
+                    AIR,
+                    "  STOP\n  TYPE STANDARD|  STOP\n  TYPE TOROIDAL",
+                    "GLAS N-BK7|GLAS MIRROR",
+                    "CURV -0.02|CURV 0",
+                    "SURF 2\n  TYPE STANDARD|SURF 2\n  TYPE COORDBRK\n  PARM 1 .5",
+                ),
+                r"TOROIDAL.*\n.*MIRROR.*\n.*decentre x 0.5",
+            ),
+        ]
+    ),
     ("lens.zmx", "a text that says nothing\n", {}, "SURF"),
     ("lens.toml", "a text that says nothing\n", {}, "TOML"),
     ("lens.zmx", BEFORE, {}, "1 surfaces"),
@@ -691,13 +716,13 @@ def test_files_are_refused_by_their_cause(name, text, options, words, tmp_path: 
 def test_files_that_are_no_prescription(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     with pytest.raises(PixsimError, match="does not exist"):
-        pixsim.load_lens(path)
+        load_lens(path)
     path.write_bytes(np.random.default_rng(0).bytes(4096))
     with pytest.raises(PixsimError, match=r"binary|UTF-8"):
-        pixsim.load_lens(path)
+        load_lens(path)
     os.truncate(path, 100 << 20)
     with pytest.raises(PixsimError, match="of 104857600 bytes"):
-        pixsim.load_lens(path)
+        load_lens(path)
 
 
 # Bounds of numbers with a meaning: operations on denormal numbers take very long
@@ -742,15 +767,31 @@ def test_numbers_without_a_meaning(name: str, tmp_path: Path) -> None:
 
 
 SECRET = "correct_horse=battery/staple:0123456789"
-LINES = [
-    *("SURF {}", "  GLAS {} 0", "  TYPE {}", "  CURV {}", "  DIAM {}", "UNIT {}", "MODE {}"),
-    *("MNUM {}", "  PARM 1 {}", "  MAZH {}", "FTYP {}", "GCAT {}\n  GLAS N-BK7 0"),
-]
-CATALOGUES = [f"NM {SECRET}", f"NM A 2 0 1.5 60\nCD {SECRET}", f"NM {SECRET} 99 0 1.5 60"]
 
 
 @pytest.mark.parametrize(
-    ("line", "agf"), [*((line, "") for line in LINES), *(("", agf) for agf in CATALOGUES)]
+    ("line", "agf"),
+    [
+        *(
+            (line, "")
+            for line in [
+                *(
+                    "SURF {}",
+                    "  GLAS {} 0",
+                    "  TYPE {}",
+                    "  CURV {}",
+                    "  DIAM {}",
+                    "UNIT {}",
+                    "MODE {}",
+                ),
+                *("MNUM {}", "  PARM 1 {}", "  MAZH {}", "FTYP {}", "GCAT {}\n  GLAS N-BK7 0"),
+            ]
+        ),
+        *(
+            ("", agf)
+            for agf in [f"NM {SECRET}", f"NM A 2 0 1.5 60\nCD {SECRET}", f"NM {SECRET} 99 0 1.5 60"]
+        ),
+    ],
 )
 def test_no_message_quotes_a_file(line: str, agf: str, tmp_path: Path) -> None:
     text = TEMPLATE.format(**USUAL)
