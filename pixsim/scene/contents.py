@@ -879,7 +879,7 @@ def _check_texture(node: Node, name: str, texture: Node) -> None:
         raise invalid(
             f"normalmap '{_file_of(texture).name}'",
             "a picture without raw = true",
-            "numbers as they are in the file",
+            "the numbers of the file, unconverted",
             RAW,
         )
 
