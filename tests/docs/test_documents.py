@@ -1,13 +1,18 @@
-"""Blocks of README and docs/ are run; output and pictures must be those that the pages show.
+"""Blocks of README, docs/ and notebooks are run; output and pictures must be those that they show.
+Names on pages, and files that they name, are there.
 
 On the processor and with the packages of docs/made_on.toml, every digit must agree.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import warnings
+from datetime import datetime
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -21,6 +26,8 @@ from helpers.documents import (
     differs_from_made_on,
     first_study,
 )
+from helpers.looks import Elements
+from helpers.notebooks import NOTEBOOKS, executed, outputs
 
 import pixsim
 from pixsim.optics.camera import Camera
@@ -240,3 +247,133 @@ def test_page_with_wrong_output_fails(text: str, tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(text, encoding="utf-8")
     with pytest.raises((AssertionError, UserWarning)):
         Page(tmp_path / "page.md", tmp_path).check()
+
+
+MAX_BYTES = 500_000
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_small_and_has_been_run_in_order(path: Path) -> None:
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+    assert path.stat().st_size < MAX_BYTES
+    assert cells[0]["source"][0].startswith("# ")
+    for words in ("/work/", "/tmp/", "/home/"):
+        assert words not in path.read_text(encoding="utf-8"), "a path of the machine it was made on"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not (find_spec("nbclient") and find_spec("ipykernel")),
+    reason="nbclient or ipykernel is not installed",
+)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_gives_shown_output(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers within 2 %, or within the interval printed with them; results show themselves with a
+    picture and no scripts.
+    """
+    import nbformat
+
+    monkeypatch.setenv(
+        "IPYTHONDIR", str(tmp_path / ".ipython")
+    )  # both processes make one, else at home
+    stored = outputs(nbformat.read(path, as_version=4))
+    made = outputs(executed(path, tmp_path))
+    assert [output[:2] for output in stored] == [output[:2] for output in made]
+    assert any(kind == "text/html" for _, kind, _ in made)
+    for (cell, kind, expected), (_, _, printed) in zip(stored, made, strict=True):
+        if kind == "text/html":
+            words = Elements(printed)
+            assert "img" in words.tags
+            assert "script" not in words.tags
+        else:
+            assert difference(expected.strip(), printed.strip(), exact=False) == "", f"cell {cell}"
+
+
+MIGRATION = "\n".join(
+    (ROOT / name).read_text(encoding="utf-8") for name in ("docs/migration.md", "CHANGELOG.md")
+)
+PYTHON = MIGRATION.partition("## Files")[0]
+ROWS = re.findall(r"^\| `([\w.]+)` \| (?:`([\w.]+)`|none)(.*) \|$", PYTHON, re.MULTILINE)
+# Several names of a record that are in another one now.
+for names, record, more in re.findall(
+    r"^\| `([\w.]+`(?:, `\.\w+`)+) \| in `([\w.]+)`(.*) \|$", PYTHON, re.MULTILINE
+):
+    place, _, _ = names.partition("`")[0].rpartition(".")
+    ROWS += [
+        (f"{place}.{name}", f"{record}.{name}", more) for name in re.findall(r"\.(\w+)`", names)
+    ]
+
+
+def found(name: str) -> bool:
+    """Whether a dotted name leads to a module, or to something in one or in a record."""
+    first, *rest = name.split(".")
+    thing: object = pixsim
+    for depth, part in enumerate(rest, 1):
+        if part in {
+            **getattr(thing, "__dataclass_fields__", {}),
+            **getattr(thing, "model_fields", {}),
+        }:
+            return depth == len(rest)
+        if not hasattr(thing, part):
+            try:
+                import_module(".".join([first, *rest[:depth]]))
+            except ImportError:
+                return False
+        thing = getattr(thing, part)
+    return True
+
+
+@pytest.mark.parametrize(("old", "new"), [row[:2] for row in ROWS], ids=[row[0] for row in ROWS])
+def test_renamed_name_is_there_and_the_old_one_gone(old: str, new: str) -> None:
+    assert not found(old)
+    assert not new or found(new)
+
+
+def test_every_public_name_of_1_0_is_there_or_on_the_page() -> None:
+    """Those of its reference: functions, classes, methods, properties and fields."""
+    names = [
+        f"pixsim.{name}"
+        for name in (
+            (ROOT / "tests/data/release_1_0_0/public_names.txt").read_text(encoding="utf-8").split()
+        )
+    ]
+    assert len(names) > 600
+    moved = {old: new for old, new, _ in ROWS}
+
+    def is_lost(name: str) -> bool:
+        parts = name.split(".")
+        for depth in range(len(parts), 1, -1):
+            if (old := ".".join(parts[:depth])) in moved:
+                return bool(moved[old]) and not found(".".join([moved[old], *parts[depth:]]))
+        return not found(name)
+
+    assert [name for name in names if is_lost(name)] == []
+    assert is_lost("pixsim.no_such_name")
+    assert is_lost("pixsim.base.parameters.Axis.no_such_field")
+
+
+def test_citation_and_changelog_state_this_version_and_its_day() -> None:
+    """Of the newest release; what is "(unreleased)" above it has no day."""
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    newest, day = re.findall(
+        r"^## (\S+) \((\d.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+    )[0]
+    assert [*re.findall(r"^version: (.+)$", citation, re.MULTILINE), newest] == [
+        pixsim.__version__
+    ] * 2
+    assert re.findall(
+        r"^  version = \{(.+)\},$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    ) == [newest]
+    assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [
+        f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"
+    ]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=str)
+def test_pages_name_files_that_are_there(path: Path) -> None:
+    names = re.findall(r"\b(?:tests|pixsim|scenes|docs)/[\w./-]+\.\w+", path.read_text("utf-8"))
+    assert [name for name in names if not (ROOT / name).exists()] == []

@@ -1,21 +1,32 @@
-"""`pixsim run` by the command line: saved and foreign pictures, files, notes, and what its page
-says of them.
+"""`pixsim run` and `pixsim lens` by the command line and in Python; commands that are refused before
+anything is written.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import shutil
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.commands import assert_refused, command
+from helpers.lenses import triplet
+from helpers.looks import lines_without_rows
+from helpers.runs import run_result
+from helpers.sheets import two_sheets
 
 import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.schema import SCHEMA
 from pixsim.light.exr import write_channels
+from pixsim.measure.lens import lens_data
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.exchange import read_with_camera
+from pixsim.report.lens import lens_document
 from pixsim.report.pictures import whole_picture
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
@@ -229,3 +240,129 @@ def test_large_picture_is_reduced_to_means_of_whole_blocks(
     assert max(small) <= MAX_DOTS
     picture = whole_picture(whole, "a name")
     assert (picture.height, picture.width) == small
+
+
+def test_figures_show_lines_of_their_tables_and_texts_inside() -> None:
+    """With labels of three decimals."""
+    data = lens_data(pixsim.load_lens("double_gauss").scaled(0.005), [486.1, 656.3])
+    for plate in (plot.draw() for plot in lens_document(data).plots):
+        assert lines_without_rows(plate) == [], plate.name
+        plate.figure.canvas.draw()
+        width, height = plate.figure.canvas.get_width_height()
+        inside = plate.figure.get_tightbbox().transformed(plate.figure.dpi_scale_trans)
+        assert min(inside.x0, inside.y0) >= 0, plate.name
+        assert inside.x1 <= width, plate.name
+        assert inside.y1 <= height, plate.name
+
+
+def test_csv_has_a_row_for_each_field() -> None:
+    data = triplet()
+    rows = list(csv.DictReader(io.StringIO(data.to_csv())))
+    fields = data.as_dict()["fields"]
+    assert [float(row["rms_spot_um"]) for row in rows] == [field["rms_spot_um"] for field in fields]
+    assert [float(row["mtf_sagittal_30_lp_per_mm"]) for row in rows] == [
+        field["mtf"][1]["sagittal"] for field in fields
+    ]
+
+
+def test_command_and_python_write_the_same_files(tmp_path: Path) -> None:
+    """Byte for byte; JSON without NaN, also for a lens whose only field is the axis."""
+    options = "--object-distance-m 1 --field-deg 0 --wavelength-nm 500 --wavelength-nm 600"
+    code, out, err = command(f"lens singlet {options} --json --out", tmp_path / "out")
+    assert code == 0, err
+    assert "NaN" not in out
+    data = pixsim.lens(
+        "singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0]
+    )
+    content = {"schema": SCHEMA} | json.loads(json.dumps(data.as_dict()))
+    assert json.loads(out) == content
+    pixsim.write_report(data, tmp_path / "python")
+    paths = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert len(paths) > 10
+    for path in paths:
+        name = path.relative_to(tmp_path / "out")
+        if name.name != "pixsim.json":  # it states times
+            assert (tmp_path / "python" / name).read_bytes() == path.read_bytes(), name
+
+    # Newton: f²/(s − f) farther from the lens than for an object at infinity
+    focal_mm = pixsim.load_lens("singlet").first_order(587.5618).focal_length_mm
+    expected_mm = 47.67 + focal_mm**2 / (1000 - focal_mm)
+    assert content["image_distance_mm"] == pytest.approx(expected_mm, abs=1.0), "refocused"
+
+
+SMALL = "--pixel.pitch-um 21.2 --display.dots 64"
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two sensors, the light of a run, and a frame with an edge."""
+    folder = tmp_path_factory.mktemp("desk")
+    two_sheets(folder)
+    line = f"run csf --variant scalar_spectral --resolution 64 {SMALL} --out {folder / 'run'}"
+    assert command(line)[0] == 0
+    shutil.copy(folder / "run/irradiance.exr", folder / "light.exr")
+    y, x = np.indices((128, 128))
+    np.save(folder / "edge.npy", (100 + 500 * (x + y / 12 > 70)).astype(np.uint16))
+    return folder
+
+
+PAIR = "compare quiet.toml 'noisy one.toml'"
+
+
+@pytest.mark.parametrize(
+    ("line", "texts"),
+    [
+        ("run csf --units W.m^-2.nm^-1", ["--units", "csf"]),
+        ("run light.exr -D resolution=64", ["-D", "light.exr", "a Mitsuba scene"]),
+        ("run light.exr --sensor camera", ["--sensor", "light.exr"]),
+        ("run light.exr --variant scalar_spectral", ["--variant", "light.exr"]),
+        ("run light.exr --units W.m^-2.sr^-1.nm^-1", ["units", "W.m^-2.nm^-1 in the file"]),
+        ("run light.exr --camera.die-mm 5", ["pitch", "die_mm"]),
+        ("run light.exr --pixel.pitch-um 3000", ["pitch_um", "3000", "2713.6"]),
+        ("run gone.exr", ["gone.exr", "does not exist"]),
+        ("run gone.npz", ["gone.npz"]),
+        ("run csf --frames=1000", ["--frames", "1 to 999"]),
+        ("compare", ["sensors", "none"]),
+        (f"{PAIR} -D colour=1", ["colour"]),
+        (f"{PAIR} --study cheng2000", ["cheng2000", "chen2000"]),
+        (f"{PAIR} --study chen2000-sensitivity", ["set.process", "from their own files"]),
+    ],
+)
+def test_command_is_refused_and_writes_nothing(
+    line: str, texts: list[str], desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(desk)
+    assert_refused(*command(f"{line} --out out"), texts)
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("run light.exr --raw png", "raw.png"),
+        ("run light.exr --frames 2", "raw_002.exr"),
+        ("run csf -D resolution=64", "score.json"),
+        ("study pixel-size --quick", "figures/light_against_detail.svg"),
+        ("study pixel-size --quick --pitch.count 5", "results.csv"),
+        ("study pixel-size --axis pixel.prnu=0.01,0.02", "figures/optimum_by_pixel.prnu.csv"),
+        ("accuracy csf --quick", "ladder.csv"),
+        (PAIR, "pictures/image_quiet.png"),
+        ("datasheet 0.35um", "figures/snr.svg"),
+        ("sfr edge.npy", "summary.json"),
+    ],
+)
+def test_file_that_pixsim_did_not_write_is_not_replaced(
+    line: str, name: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(desk)
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("my own")
+    assert_refused(*command(f"{line} --out '{tmp_path}'"), [path.name, "not written by", "--out"])
+    assert path.read_text() == "my own"
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == [path]
+
+
+def test_pictures_are_written_to_no_pdf(tmp_path: Path) -> None:
+    with pytest.raises(PixsimError, match="figures: got 'pdf' for a RunResult"):
+        pixsim.write_report(run_result([1.0], {}), tmp_path, figures="pdf")
