@@ -220,7 +220,7 @@ def assert_prints(
     pages: range,
     texts: list[str],
     headings: list[str],
-    pictured: list[str] | None = None,
+    pictured: Sequence[str] = (),
 ) -> None:
     """The print has the pages and texts expected, no clipped picture, and no heading alone at the
     foot of a page.
@@ -230,6 +230,7 @@ def assert_prints(
     reader = print_page(page, folder)
     assert len(reader.pages) in pages, f"{len(reader.pages)} pages"
     shown, text = set[str](), ""
+    wanted = set(map(squeezed, headings))
     for number, sheet in enumerate(reader.pages, 1):
         width, height = (float(length) for length in sheet.mediabox[2:])
         lines: dict[float, str] = {}
@@ -253,17 +254,14 @@ def assert_prints(
         for left, low, right, high in boxes:
             assert -1 <= left <= right <= width + 1, f"page {number}"
             assert -1 <= low <= high <= height + 1, f"page {number}"
-        for heading in pictured or []:
-            places = [place for place, line in lines.items() if squeezed(line) == squeezed(heading)]
-            if places and any(low < places[0] for _, low, _, _ in boxes):
-                shown.add(heading)
-        text += squeezed("".join(lines.values()))
         for place, line in lines.items():
-            if squeezed(line) in {squeezed(heading) for heading in headings}:
+            if squeezed(line) in wanted:
                 assert place > FOOT_PT, f"page {number}: {line!r} stands alone at its foot"
-    assert shown == set(pictured or []), f"pictured: {sorted(shown)}"
-    for words in [*texts, *headings]:
-        assert squeezed(words) in text, words
+                is_pictured = any(low < place for _, low, _, _ in boxes)
+                shown |= {squeezed(line)} if is_pictured else set()
+        text += squeezed("".join(lines.values()))
+    assert {*map(squeezed, pictured)} <= shown, f"pictured: {sorted(shown)}"
+    assert not [words for words in [*texts, *headings] if squeezed(words) not in text]
 
 
 FOOT_PT = 70  # a margin of 0.4 inch (29 pt) and one or two lines
