@@ -426,7 +426,7 @@ SAMPLE_UM = 2.0
 GREY_CAMERA = Camera(die_mm=1e-3 * SIDE * SAMPLE_UM, focal_length_mm=0.4)
 GREY_NM = np.arange(420.0, 700.0, 40.0)
 SHORT_S = 1e-3
-SHARP_DISPLAY = Display(dots=SIDE, samples_per_deg=23.0)
+STEP_DISPLAY = Display(dots=SIDE, samples_per_deg=23.0)
 SHEET: dict[str, Any] = {
     "pitch_um": 2.0,
     "full_well_e": 20000,
@@ -469,7 +469,7 @@ def chain_of_steps(
     image = SpectralImage(GREY_NM, 40.0, SAMPLE_UM, factors=factors, header=header)
     if colour:
         fields["colour"] = {"quantum_efficiencies": CURVES, "pattern": colour}
-    settings = GREY_CAMERA, Pixel(**SHEET | fields), Exposure(integration_s=time_s), SHARP_DISPLAY
+    settings = GREY_CAMERA, Pixel(**SHEET | fields), Exposure(integration_s=time_s), STEP_DISPLAY
     return imaging_chain(image, *settings, develop=Develop(**develop))
 
 
@@ -642,7 +642,7 @@ CLAIMS = [
     Claim(
         "all primaries of a dot have one factor behind an operator",
         lambda: np.ptp(
-            tone.toned(COLOURS, Develop(tone_curve="reinhard"), SHARP_DISPLAY) / COLOURS, axis=0
+            tone.toned(COLOURS, Develop(tone_curve="reinhard"), STEP_DISPLAY) / COLOURS, axis=0
         ),
         np.zeros((5, 5)),
         atol=1e-14,
@@ -665,7 +665,7 @@ def test_ideal_picture_has_the_tone_curve_and_no_sharpening(curve: Any, colour: 
     develop = {"tone_curve": curve, "tone_gamma": 1.4, "tone_white": 2.0, "sharpen_amount": 3.0}
     for level in (0.05, 0.5, 1.9):
         chain = chain_of_steps(develop, colour, picture=level, full_well_e=1e6)
-        image = display_image(chain.development.light(noiseless(chain, SHORT_S)), SHARP_DISPLAY)
+        image = display_image(chain.development.light(noiseless(chain, SHORT_S)), STEP_DISPLAY)
         np.testing.assert_allclose(image, chain.screen.ideal, atol=2 / 255 if colour else 1e-9)
     np.testing.assert_array_equal(
         chain_of_steps(develop, colour).screen.ideal,
@@ -752,7 +752,7 @@ def test_expected_spectrum_of_noise_is_that_of_every_pixel() -> None:
 
     def power(noise: np.ndarray) -> np.ndarray:
         light = chain.development.light_before_tone(replace(still, corrected_e=noise * white_e))
-        return np.abs(np.fft.fft2(light)) ** 2 / light.size / SHARP_DISPLAY.samples_per_deg**2
+        return np.abs(np.fft.fft2(light)) ** 2 / light.size / STEP_DISPLAY.samples_per_deg**2
 
     expected = (
         2.0 * sum(power((rows == y) & (columns == x)) for y, x in np.ndindex(rows.shape))

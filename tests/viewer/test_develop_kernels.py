@@ -69,7 +69,7 @@ def patches_of(case: str, count: int = 18) -> tuple[np.ndarray, np.ndarray, np.n
     return responses, data[f"{lamp}/XYZ"][:count], data[f"{lamp}/XYZ_white"]
 
 
-# --- another program
+# --- the colour matrix against another program
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -132,7 +132,7 @@ def test_chart_has_the_xyz_of_another_program(lamp: str, atol: float) -> None:
     np.testing.assert_allclose(100 * xyz, reference("colour/charts")[f"{lamp}/XYZ"], atol=atol)
 
 
-# --- limits
+# --- the colour matrix in its limits
 
 
 def test_tables_of_other_steps_agree() -> None:
@@ -162,7 +162,7 @@ def test_further_channels_fit_no_worse() -> None:
     assert mean[2] < mean[0]
 
 
-# --- noise
+# --- the colour matrix with noise
 
 
 def shot_noise(responses: np.ndarray, white_e: float) -> np.ndarray:
@@ -220,6 +220,9 @@ def test_noise_aware_error_is_the_one_that_it_minimises() -> None:
     assert error(fit_matrix(responses, xyz, white)) > 1.005 * error(matrix)
 
 
+# --- colours of rendered patches, and the matrix in the bands of a picture
+
+
 FINE_NM = np.arange(380.0, 780.1, 0.25)
 
 
@@ -270,6 +273,9 @@ def test_matrix_in_the_bands_of_a_picture_is_that_of_integrals(camera: str) -> N
     assert metamerism_index(chart.errors(to_display)) == pytest.approx(
         metamerism_index(colour_errors(expected, responses, xyz, white)), abs=0.01
     )
+
+
+# --- demosaicing
 
 
 QUAD = ("RRGG", "RRGG", "GGBB", "GGBB")
@@ -355,7 +361,7 @@ def test_demosaic_turns_and_grows_with_the_picture(seed: int, method: Any, facto
     np.testing.assert_allclose([mirrored, turned, brighter], [upright] * 3, rtol=1e-11, atol=1e-11)
 
 
-# --- noise
+# --- noise of demosaicing
 
 
 OFFSETS = np.arange(8) / 8  # of a dot

@@ -379,7 +379,6 @@ def test_perfect_pixels_converge_to_the_ideal_picture() -> None:
     measured 3.92 and 3.96.
     """
     irradiance = light(grating(1024), diffraction=False)
-    display = Display(dots=128, bits=16)
     mean_delta_e = []
     for pitch_um in (10.6, 5.3, 2.65):
         chain = imaging_chain(
@@ -387,15 +386,12 @@ def test_perfect_pixels_converge_to_the_ideal_picture() -> None:
             CAMERA,
             Pixel(pitch_um=pitch_um, **PERFECT),
             Exposure(max_integration_s=1000),
-            display,
+            Display(dots=128, bits=16),
             border_um=15.0,
         )
         seed = np.random.default_rng(0)
-        mean_delta_e.append(
-            chain.development.score(
-                chain.capture_with(seed, NoShotNoise(seed.bit_generator), seed)
-            ).mean_delta_e
-        )
+        frame = chain.capture_with(seed, NoShotNoise(seed.bit_generator), seed)
+        mean_delta_e.append(chain.development.score(frame).mean_delta_e)
     np.testing.assert_allclose(np.divide(mean_delta_e[:-1], mean_delta_e[1:]), 4, atol=0.2)
 
 
@@ -413,9 +409,12 @@ def test_light_on_the_border_changes_no_score() -> None:
     np.testing.assert_allclose(other.ideal, score.ideal, rtol=1e-12)
 
 
+# --- the white of a scene that states none
+
+
 WIDE_NM = np.arange(405.0, 900.0, 10.0)
 WHITE_CAMERA = Camera(focal_length_mm=4.0, die_mm=0.32)
-UNSTATED_WHITE = Display(dots=64)
+WHITE_DISPLAY = Display(dots=64)
 LIGHTS = {
     "daylight": d65(WIDE_NM),
     "2856 K": WIDE_NM**-5.0 / np.expm1(1.4388e7 / WIDE_NM / 2856),
@@ -445,14 +444,14 @@ def picture(spectrum: np.ndarray) -> SpectralImage:
 def test_at_most_one_per_cent_is_beyond_an_estimated_white(light: str, sensor: str) -> None:
     """And more than that beyond the next smaller number of two digits."""
     image = picture(LIGHTS[light])
-    settings = imaging(WHITE_CAMERA, PIXELS[sensor], display=UNSTATED_WHITE)
+    settings = imaging(WHITE_CAMERA, PIXELS[sensor], display=WHITE_DISPLAY)
     with pytest.warns(UserWarning, match="does not define its white"):
         white = screen.white_header([(settings, image)])["luminance_cd_per_m2"]
     unit = 10.0 ** (math.floor(math.log10(white)) - 1)
     shares = []
     for cd_per_m2 in (white, white - unit):
         view = settings.changed(
-            display=UNSTATED_WHITE.model_copy(update={"white_cd_per_m2": cd_per_m2})
+            display=WHITE_DISPLAY.model_copy(update={"white_cd_per_m2": cd_per_m2})
         )
         _, ideal = screen.ideal_on_dots(view, image, screen.colour_chart_of(view, image))
         shares.append(screen.fraction_beyond_white(ideal))
@@ -466,7 +465,7 @@ def test_run_and_evaluate_take_one_white(tmp_path: Any) -> None:
             read_irradiance(tmp_path / "light.npz", WHITE_CAMERA),
             WHITE_CAMERA,
             PIXELS["silicon"],
-            display=UNSTATED_WHITE,
+            display=WHITE_DISPLAY,
             seed=3,
         )
     result = run(
@@ -481,7 +480,7 @@ def test_run_and_evaluate_take_one_white(tmp_path: Any) -> None:
 
 def test_sensors_share_the_largest_of_their_whites() -> None:
     views = [
-        (imaging(WHITE_CAMERA, pixel, display=UNSTATED_WHITE), picture(LIGHTS["2856 K"]))
+        (imaging(WHITE_CAMERA, pixel, display=WHITE_DISPLAY), picture(LIGHTS["2856 K"]))
         for pixel in PIXELS.values()
     ]
     with pytest.warns(UserWarning, match="the largest of these sensors'"):

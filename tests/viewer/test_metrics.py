@@ -331,9 +331,10 @@ def test_blurred_target_of_a_stated_contrast_is_no_darker_than_black(
     factor: float, reason: str
 ) -> None:
     """A stated contrast of -0.5 is -0.05 in the light."""
-    image = with_disc(-0.05, parameters={"contrast": "-0.5"})
     metrics = request("detectability", **ONE_REGISTRATION)
-    chain = chain_of(image, background=UNIFORM, metrics=metrics)
+    chain = chain_of(
+        with_disc(-0.05, parameters={"contrast": "-0.5"}), background=UNIFORM, metrics=metrics
+    )
     assert contrast_factor(chain.expected(TIME_S), 5.0 / factor)[1] == reason
 
 
@@ -598,11 +599,14 @@ def test_sensor_mtf_is_that_of_a_slanted_edge(tilt_deg: float) -> None:
     turned = np.transpose if tilt_deg > 45 else np.asarray
     chain = chain_of(light(turned(picture), diffraction=True))
     frequency = np.linspace(0.0, 0.45, 10)
-    measured = kernels.edge_mtf(turned(chain.signal_e_per_s[10:-10, 10:-10]), 5.0, frequency)
     along = frequency * 1e3 / 4.0
     tilt = math.radians(tilt_deg)
     across_mtf = sensor_mtf(chain.expected(TIME_S), along * math.cos(tilt), along * math.sin(tilt))
-    np.testing.assert_allclose(measured, across_mtf, atol=0.02)
+    np.testing.assert_allclose(
+        kernels.edge_mtf(turned(chain.signal_e_per_s[10:-10, 10:-10]), 5.0, frequency),
+        across_mtf,
+        atol=0.02,
+    )
 
 
 @pytest.mark.parametrize("um_per_s", [(0.0, 0.0), (400.0, 0.0), (0.0, 400.0)])
@@ -659,8 +663,11 @@ def test_niirs_of_two_surfaces_in_a_veil(glare: float) -> None:
     veil_e = glare * TIME_S * float(plain.signal_e_per_s.mean())
     snr = 0.08 * white_e / math.sqrt(0.15 * white_e + veil_e + fixed_e2(chain))
     along, mtf = _mtf_along(chain.expected(TIME_S))
-    rer = kernels.relative_edge_response(along * 0.004, mtf)
-    expected = kernels.niirs(rer, 1e-6 * 4.0 / abs(camera.magnification), snr)
+    expected = kernels.niirs(
+        kernels.relative_edge_response(along * 0.004, mtf),
+        1e-6 * 4.0 / abs(camera.magnification),
+        snr,
+    )
     assert numbers_of(chain, "niirs") == (pytest.approx(expected, rel=1e-6),)
 
 
@@ -743,7 +750,7 @@ def difference_and_variance(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
     ) / 64
 
 
-# --- observers
+# --- kernels: observers
 
 
 @pytest.mark.parametrize(
@@ -850,7 +857,7 @@ def test_template_has_the_signal_and_noise_of_npwe() -> None:
     assert d_prime < kernels.detectability(target, np.array(0.2**2))
 
 
-# --- spectra
+# --- kernels: spectra
 
 
 def natural(y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -920,7 +927,7 @@ def test_radial_spectrum_is_that_of_random_light_on_any_film() -> None:
     assert (power[frequency > 62.0] < 1e-5 * power[0]).all()
 
 
-# --- visible noise
+# --- kernels: visible noise
 
 
 @pytest.mark.parametrize(("channel", "terms", "scale"), [
@@ -952,7 +959,7 @@ def test_visual_noise_of_a_coloured_wave(channel: int, terms: Any, scale: float)
     )
 
 
-# --- edges, curves, visible noise and SNR as rows
+# --- kernels: edges, curves, visible noise and SNR as rows
 
 
 def edge(angle_deg: float, rise: float) -> np.ndarray:
