@@ -31,7 +31,6 @@ import pixsim
 from pixsim.base import door
 from pixsim.base.arrays import Finites
 from pixsim.base.bounds import without_bounds
-from pixsim.base.errors import PixsimError
 from pixsim.base.result import Result
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
@@ -294,7 +293,7 @@ def fault(call: Callable[[], Any], argument: str, junk: Any, annotation: str = "
     try:
         with in_time(LIMIT_S), warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
             result = call()
-    except PixsimError as error:
+    except pixsim.PixsimError as error:
         return "" if names(str(error), argument, junk) else f"not named in '{error}'"
     except (Exception, TooLongError) as error:
         return f"{type(error).__name__}: {str(error)[:150]}"
@@ -356,7 +355,7 @@ def test_write_of_any_result_names_a_wrong_argument(
     argument: str, value: object, tmp_path: Path
 ) -> None:
     arguments = {"folder": tmp_path / "out"} | {argument: value}
-    with pytest.raises(PixsimError, match=f"^{argument}: got "):
+    with pytest.raises(pixsim.PixsimError, match=f"^{argument}: got "):
         score().write(**arguments)
     assert not list(tmp_path.iterdir())
 
@@ -414,7 +413,7 @@ def test_numbers_that_no_quantity_has_are_refused(kind: Any, values: Any, said: 
         return light
 
     value_of.__annotations__ = {"light": kind}
-    with pytest.raises(PixsimError, match=f"^light: {re.escape(said)}"):
+    with pytest.raises(pixsim.PixsimError, match=f"^light: {re.escape(said)}"):
         door.checked(value_of, "pixsim.value_of")(values)
 
 
@@ -440,7 +439,7 @@ def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> N
             (("bright",), r"light: got 'bright'; allowed: .*number"),
             (([1, 2], 3), "path: got 3; allowed: the path of a file"),
         ):
-            with pytest.raises(PixsimError, match=words):
+            with pytest.raises(pixsim.PixsimError, match=words):
                 function(*wrong)
 
 

@@ -20,7 +20,6 @@ from helpers.tiny import rows, tiny, tiny_toml, toml_of
 import pixsim
 from pixsim.cli.options import SceneOptions
 from pixsim.measure.datasheet import datasheet_settings, make_datasheet
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.files import load_study
@@ -110,7 +109,9 @@ def test_run_same_sensor_in_every_way_gives_same_frame(
     }
     same = SHEET if pixel is WORDS else pixel
     for technology in ({}, {"technology": None}, {"technology": "none"}):
-        python = pixsim.evaluate(irradiance, pixel=Pixel(**same, **technology), **parts, seed=3)
+        python = pixsim.evaluate(
+            irradiance, pixel=pixsim.Pixel(**same, **technology), **parts, seed=3
+        )
         frames[f"python {technology}"] = python.frame
     assert frames["file"].dn.std() > 10, "a frame with noise and detail"
     if "dn_per_e" in pixel:
@@ -278,11 +279,14 @@ def noted(call: Callable[[], object]) -> list[str]:
     ("pixel", "count"), [(SHEET, 0), (UNITS, 2), (GAIN, 1)], ids=["sheet", "units", "gain"]
 )
 def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) -> None:
-    slips = unit_slips(Pixel(**pixel))
+    slips = unit_slips(pixsim.Pixel(**pixel))
     assert len(slips) == count
     light = pixsim.SpectralImage([550.0], 10.0, 30.0, data=np.full((90, 90, 1), 1e-3))
     camera, display = pixsim.Camera(), pixsim.Display(dots=64, white_cd_per_m2=100.0)
-    assert noted(lambda: pixsim.evaluate(light, camera, Pixel(**pixel), display=display)) == slips
+    assert (
+        noted(lambda: pixsim.evaluate(light, camera, pixsim.Pixel(**pixel), display=display))
+        == slips
+    )
     sheet = {name: value for name, value in pixel.items() if name != "pitch_um"}
     sheet |= {"data_sheet_pitch_um": 30.0}
     sizes = {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}

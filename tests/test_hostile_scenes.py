@@ -29,7 +29,6 @@ from helpers.processes import HANG_S
 from hypothesis import HealthCheck, given, settings
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.machine import memory
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.scene.contents import asset_files
@@ -511,7 +510,9 @@ def test_what_a_file_holds_is_not_quoted(kind, tmp_path):
     }
     volume = {"lit": LIT.replace('"path"', '"volpath"')} if kind == "gridvolume" else {}
     path = scene_of(tmp_path, "\n" + wrapped.get(body[1:].split()[0], body), **volume)
-    with pytest.raises(PixsimError, match=rf"In line 2 of 'scene\.xml', 'a\.{suffix}'") as error:
+    with pytest.raises(
+        pixsim.PixsimError, match=rf"In line 2 of 'scene\.xml', 'a\.{suffix}'"
+    ) as error:
         rendered(path)
     assert "hunter2" not in str(error.value)
 
@@ -548,7 +549,7 @@ def test_files_of_other_folders_are_refused(body, parameters, words, tmp_path):
     path = scene_of(inside, body.replace("{}", str(tmp_path)))
     values = {name: value.format(tmp_path) for name, value in parameters.items()}
     if words:
-        with pytest.raises(PixsimError, match=words):
+        with pytest.raises(pixsim.PixsimError, match=words):
             open_scene(path, values)
     else:
         assert open_scene(path, values).text
@@ -578,7 +579,7 @@ def test_files_of_spectra_are_bounded_in_total(tmp_path, monkeypatch):
     )  # 471 values of 9 characters: 4237
     body = '<bsdf type="diffuse"><spectrum name="reflectance" filename="a.spd"/></bsdf>'
     assert len(open_scene(scene_of(tmp_path, body * 2), {}).text) > 2 * 4237
-    with pytest.raises(PixsimError, match="spectrum files with more than 10000 characters"):
+    with pytest.raises(pixsim.PixsimError, match="spectrum files with more than 10000 characters"):
         open_scene(scene_of(tmp_path, body * 3), {})
 
 
@@ -733,7 +734,7 @@ def test_damaged_mesh_is_refused(name, tmp_path):
     """
     content, words = BAD_MESHES[name]
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(PixsimError, match=words):
+    with pytest.raises(pixsim.PixsimError, match=words):
         ChildTracer(mesh_job(tmp_path / name)).sample_count("independent", 4)
 
 
@@ -758,7 +759,7 @@ def test_random_scene_is_loaded_or_refused(assets):
         try:
             make_render_plan(load(path))
             ends.append(True)
-        except PixsimError:
+        except pixsim.PixsimError:
             ends.append(False)
 
     check()
@@ -825,7 +826,7 @@ def test_plan_opens_no_file_of_a_scene(tmp_path):
     assert make_render_plan(scene).samples.spp > 0
     assert child._child is None
     with pytest.raises(
-        PixsimError,
+        pixsim.PixsimError,
         match=r"In line 1 of 'scene\.xml', 'a\.ply': mesh .*got corner 4; allowed: .* 0 to 3",
     ):
         pixsim.render(scene)
@@ -864,7 +865,9 @@ def test_crash_of_the_child_is_an_error(tmp_path):
     process = stopped(tmp_path)
     threading.Timer(0.3, os.kill, (process, signal.SIGSEGV)).start()
     threading.Timer(0.4, os.kill, (process, signal.SIGCONT)).start()
-    with pytest.raises(PixsimError, match=r"scene: got a scene that crashes Mitsuba \(SIGSEGV\)"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"scene: got a scene that crashes Mitsuba \(SIGSEGV\)"
+    ):
         tracer.sample_count("multijitter", 4)
     assert tracer.sample_count("multijitter", 4) == 4  # by a new child
 
@@ -947,7 +950,7 @@ def test_openexr_writes_no_name_to_the_terminal(tmp_path, capfd):
     texels = np.random.default_rng(0).random((64, 64)).astype(np.float32)
     write_channels(path, {"Y": texels}, {})
     path.write_bytes(path.read_bytes()[:-999])
-    with pytest.raises(PixsimError, match="EXR file: got"):
+    with pytest.raises(pixsim.PixsimError, match="EXR file: got"):
         read_channels(path)
     assert capfd.readouterr() == ("", "")
     print("after", file=sys.stderr)

@@ -26,7 +26,6 @@ from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.notes import MachineWarning
 from pixsim.scene import mitsuba
 from pixsim.studies.engine import Workers, processes_work, results_of
@@ -84,7 +83,7 @@ def rendered(answers: Any) -> None:
             pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral"),
             pixsim.Camera(),
         )
-    except PixsimError as error:
+    except pixsim.PixsimError as error:
         answers.send(str(error))
 
 

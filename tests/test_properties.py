@@ -23,14 +23,9 @@ from pydantic import ValidationError
 
 import pixsim
 from pixsim.base.bounds import SMALLEST
-from pixsim.base.errors import PixsimError
 from pixsim.base.problems import explain
 from pixsim.base.records import Record
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import MISMATCH, STANDS_FOR, DarkCurrent, Pixel, excluded_by
-from pixsim.viewer.display_options import Display
 
 REPEATABLE = {
     "derandomize": True,
@@ -117,7 +112,7 @@ def picture(
 
 
 @st.composite
-def irradiances(draw: st.DrawFn, pitch_um: float) -> SpectralImage:
+def irradiances(draw: st.DrawFn, pitch_um: float) -> pixsim.SpectralImage:
     """An irradiance of 1 to 24 × 24 samples and 1 to 4 bands, factored or not."""
     shape = draw(SHAPES)
     nm = np.sort(draw(WAVELENGTHS))
@@ -137,7 +132,7 @@ def irradiances(draw: st.DrawFn, pitch_um: float) -> SpectralImage:
         if draw(st.integers(0, 29)) != 17
         else 0.7
     )
-    return SpectralImage(
+    return pixsim.SpectralImage(
         nm, 10.0**width, pitch_um * pixels_of_side / min(shape), header=header, **light
     )
 
@@ -145,8 +140,8 @@ def irradiances(draw: st.DrawFn, pitch_um: float) -> SpectralImage:
 @st.composite
 def cameras(draw: st.DrawFn) -> dict[str, Any]:
     """Any focal length and f-number, focused at 1 + 1e-9 to 1e18 focal lengths."""
-    camera = draw(values(Camera))
-    nearest_m, farthest_m = ends(fields(Camera)["object_distance_m"])
+    camera = draw(values(pixsim.Camera))
+    nearest_m, farthest_m = ends(fields(pixsim.Camera)["object_distance_m"])
     focal_m = 1e-3 * camera.get("focal_length_mm", 3.86)
     if draw(USUALLY):  # otherwise random fields: mostly no image forms
         far = focal_m * (1 + 10.0 ** draw(st.floats(-9, 18)))
@@ -205,17 +200,22 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
 def chains(draw: st.DrawFn) -> dict[str, Any]:
     """Arguments of `evaluate` as plain values; the test creates the records."""
     pixel = draw(pixels())
-    display = draw(values(Display))
+    display = draw(values(pixsim.Display))
     display["dots"] = draw(st.sampled_from([9, 16, 25, 40]))
     return {
         "irradiance": draw(irradiances(pixel.get("pitch_um", 6.5))), "camera": draw(cameras()), "pixel": pixel,
-        "exposure": draw(values(Exposure)), "display": display, "seed": draw(st.integers(0, 2**64)),
+        "exposure": draw(values(pixsim.Exposure)), "display": display, "seed": draw(st.integers(0, 2**64)),
     }  # fmt: skip
 
 
 def records_of(chain: dict[str, Any]) -> dict[str, Any]:
     """The records of a chain; ValidationError if their fields conflict."""
-    records = {"camera": Camera, "pixel": Pixel, "exposure": Exposure, "display": Display}
+    records = {
+        "camera": pixsim.Camera,
+        "pixel": Pixel,
+        "exposure": pixsim.Exposure,
+        "display": pixsim.Display,
+    }
     return chain | {name: record.model_validate(chain[name]) for name, record in records.items()}
 
 
@@ -252,7 +252,7 @@ def only_explained_errors(outcomes: Counter[str]) -> Iterator[None]:
         message = ""
         try:
             yield
-        except (PixsimError, ValidationError) as error:
+        except (pixsim.PixsimError, ValidationError) as error:
             message = explain(error)
         outcomes["rejected" if message else "accepted"] += 1
         assert not message or MESSAGE.search(message), message

@@ -35,13 +35,11 @@ from helpers.record_fields import (
 
 import pixsim
 from pixsim.base.bounds import SMALLEST
-from pixsim.base.errors import PixsimError
 from pixsim.base.problems import MAX_PROBLEMS
 from pixsim.base.records import Record, checked
 from pixsim.cli.mistakes import names_of
 from pixsim.optics.prescription import _PrescriptionFile
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.technology import Technology
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import PitchRange, Study
 from pixsim.viewer.setting import Run
@@ -143,7 +141,7 @@ def refusal(call: Callable[[], object]) -> str:
     """The message of a call; empty if it raises none."""
     try:
         call()
-    except PixsimError as error:
+    except pixsim.PixsimError as error:
         return str(error)
     return ""
 
@@ -207,9 +205,9 @@ class Place:
 
     def text(self, table: Table) -> str:
         """The file, with all else that it needs."""
-        if self.root is not Technology:
+        if self.root is not pixsim.Technology:
             return tomli_w.dumps(required(self.root) | nested(self.path, table))
-        entries = required(Technology) | VALID["junction", "model"] | table
+        entries = required(pixsim.Technology) | VALID["junction", "model"] | table
         name = entries.pop("name")
         numbers = {
             key: {"value": value, "confidence": "A", "source": "x"}
@@ -221,7 +219,7 @@ class Place:
 PLACES: dict[type[Record], Place] = {}
 for root, read in (
     (_PrescriptionFile, pixsim.load_lens),
-    (Technology, pixsim.load_technology),
+    (pixsim.Technology, pixsim.load_technology),
     (Study, load_study),
     (Run, lambda path: checked(Run, [settings_layer(path)])),
 ):
@@ -249,13 +247,13 @@ def test_file_refuses_what_a_field_does_not_allow(record: type[Record], tmp_path
     def is_entry(name: str, value: Any) -> bool:
         """Whether it is an entry of a technology's file."""
         kind = fields(record)[name]["type"]
-        return place.root is not Technology or kind not in ("dict", "model")
+        return place.root is not pixsim.Technology or kind not in ("dict", "model")
 
     misses = []
     for number, (table, faults) in enumerate(tables(record, is_entry)):
         message = message_of_file(place, table, tmp_path / f"{number}.toml")
         misses += missed(message, where, faults)
-    others = {} if place.root is Technology else required(record)
+    others = {} if place.root is pixsim.Technology else required(record)
     message = message_of_file(place, others | {"no_such_name": 1}, tmp_path / "x.toml")
     if "no_such_name: unknown name; allowed: " not in message:
         misses.append(f"no_such_name = 1: got '{message}'")
@@ -335,7 +333,7 @@ def derived_of_camera(settings: Table) -> list[float]:
 
 
 def derived_of_technology(settings: Table) -> list[float]:
-    technology = Technology(**settings)
+    technology = pixsim.Technology(**settings)
     with patch("pixsim.sensor.pixel.load_technology", lambda _: technology):
         return derived_of_pixel({"pitch_um": 6.5, "technology": "0.35um"})
 
@@ -346,7 +344,7 @@ def derived_of_technology(settings: Table) -> list[float]:
         (pixsim.Pixel, SHEET, derived_of_pixel),
         (pixsim.Pixel, {"pitch_um": 6.5}, derived_of_pixel),
         (pixsim.Camera, {}, derived_of_camera),
-        (Technology, PROCESS | {"ranges": {}, "distributions": {}}, derived_of_technology),
+        (pixsim.Technology, PROCESS | {"ranges": {}, "distributions": {}}, derived_of_technology),
     ],
     ids=["data sheet", "pixel", "camera", "technology"],
 )
@@ -359,7 +357,7 @@ def test_numbers_at_an_end_are_refused_or_have_finite_consequences(
             try:
                 with warnings.catch_warnings(action="error", category=RuntimeWarning):
                     numbers = derived(settings | {name: value})
-            except PixsimError:
+            except pixsim.PixsimError:
                 continue
             if not all(map(math.isfinite, numbers)):
                 misses.append(f"{name} = {value}: expected finite numbers, got {numbers}")

@@ -187,36 +187,34 @@ def test_load_or_compute_failure_leaves_no_file(folder):
     assert not list(folder.rglob("*"))
 
 
-def write_many(name: str, barrier) -> None:
-    os.environ[FOLDER_VARIABLE] = name
+FORK = multiprocessing.get_context("fork")
+BOTH = FORK.Barrier(2)
+
+
+def write_many(_: int) -> None:
     warnings.simplefilter("error")
-    barrier.wait()
+    BOTH.wait(HANG_S)
     for number in range(40):
         assert cached(float(number), f"key{number}")[0] == {"number": float(number)}
 
 
 def test_two_processes_share_entries(folder):
-    context = multiprocessing.get_context("fork")
-    barrier = context.Barrier(2)
-    processes = [context.Process(target=write_many, args=(str(folder), barrier)) for _ in range(2)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join(HANG_S)
-    assert [process.exitcode for process in processes] == [0, 0]
+    with FORK.Pool(2) as pool:
+        pool.map_async(write_many, range(2), chunksize=1).get(HANG_S)
     for number in range(40):
         head, value = (folder / f"kind/key{number}.json").read_text(encoding="utf-8").split("\n")
         assert head.startswith(f"pixsim cache kind/key{number} ")
         assert json.loads(value) == {"number": number}
 
 
-def test_folder_follows_xdg(monkeypatch, tmp_path):
-    monkeypatch.delenv(FOLDER_VARIABLE)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / "pixsim"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert cache.folder() == tmp_path / "home/.cache/pixsim"
+@pytest.mark.parametrize(
+    ("variable", "below"), [("XDG_CACHE_HOME", "pixsim"), ("HOME", ".cache/pixsim")]
+)
+def test_folder_follows_xdg(variable, below, monkeypatch, tmp_path):
+    for name in (FOLDER_VARIABLE, "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(variable, str(tmp_path))
+    assert cache.folder() == tmp_path / below
 
 
 def test_limit_zero_disables_cache(folder, monkeypatch):

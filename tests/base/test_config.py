@@ -13,22 +13,18 @@ import pytest
 from pydantic import ValidationError
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.hashes import content_hash
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.cli.options import SceneOptions
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import TracedLens
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import fill_factor_law
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.design import pixel_of, study_pitches_um
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study, with_data_sheets
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 
@@ -192,10 +188,10 @@ def test_sheet_uncertainty_invalid_raises(
     """By every command that reads the file, also those that do not use it."""
     assert UNCERTAIN.count(written_as) == 1
     path = written(tmp_path / "sensor.toml", UNCERTAIN.replace(written_as, instead))
-    with pytest.raises(PixsimError, match=message) as caught:
+    with pytest.raises(pixsim.PixsimError, match=message) as caught:
         sheet_uncertainty(path)
     assert str(path) in str(caught.value)
-    with pytest.raises(PixsimError, match=message):
+    with pytest.raises(pixsim.PixsimError, match=message):
         settings_of(path)
 
 
@@ -388,7 +384,8 @@ def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_pa
         assert getattr(SceneOptions([path]).settings().camera, die) == given
     else:
         with pytest.raises(
-            PixsimError, match=rf"camera\.{die} = .* by more than half a pixel; give one of them"
+            pixsim.PixsimError,
+            match=rf"camera\.{die} = .* by more than half a pixel; give one of them",
         ):
             SceneOptions([path]).settings()
 
@@ -413,15 +410,17 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
 # ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("record", [Camera, CameraOptions, Display, Exposure, Pixel, Run])
+@pytest.mark.parametrize(
+    "record", [Camera, CameraOptions, pixsim.Display, pixsim.Exposure, pixsim.Pixel, Run]
+)
 def test_record_is_frozen(record):
     with pytest.raises(ValidationError, match="frozen"):
         setattr(record(), next(iter(record.model_fields)), 1.0)
 
 
 def test_content_hash_ignores_the_order_of_keys_alone():
-    one = Pixel.model_validate({"pitch_um": 5.3, "bits": 12})
-    other = Pixel.model_validate({"bits": 12, "pitch_um": 5.3, "technology": "0.35um"})
+    one = pixsim.Pixel.model_validate({"pitch_um": 5.3, "bits": 12})
+    other = pixsim.Pixel.model_validate({"bits": 12, "pitch_um": 5.3, "technology": "0.35um"})
     assert one.content_hash == other.content_hash
     # BLAKE2b of the text {"a":1}, 8 bytes: `printf '{"a":1}' | b2sum -l 64`.
     assert content_hash({"a": 1}) == "1f8c00645b7df6ce"

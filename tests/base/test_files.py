@@ -78,23 +78,29 @@ def test_publishing_again_replaces_files_of_pixsim_and_leaves_all_others(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "change", ["not listed", "folder", "dangling link", "foreign list", "no list"]
+    ("name", "kind", "named"),
+    [
+        ("c.txt", "9", "c.txt"),  # not listed
+        (FILE_LIST, '{"files": ["a.txt"]}', FILE_LIST),  # of another program
+        (FILE_LIST, "nothing", "a.txt"),
+        ("a.txt", "folder", "a.txt"),
+        ("a.txt", "dangling link", "a.txt"),
+    ],
 )
-def test_check_replaceable_file_of_another_program_raises(change: str, tmp_path: Path) -> None:
+def test_check_replaceable_file_of_another_program_raises(
+    name: str, kind: str, named: str, tmp_path: Path
+) -> None:
     """Also at the end of a command, before anything is moved: a file may have come meanwhile."""
     publish(tmp_path, a="1", b="2")
-    path = tmp_path / "a.txt"
-    if change == "not listed":
-        (tmp_path / "c.txt").write_text("9")
-    elif change == "foreign list":
-        (tmp_path / FILE_LIST).write_text('{"files": ["a.txt"]}')
-    elif change == "no list":
-        (tmp_path / FILE_LIST).unlink()
-    else:
-        path.unlink()
-        path.mkdir() if change == "folder" else path.symlink_to(tmp_path / "gone")
+    path = tmp_path / name
+    path.unlink(missing_ok=True)
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "dangling link":
+        path.symlink_to(tmp_path / "gone")
+    elif kind != "nothing":
+        path.write_text(kind)
     before = state(tmp_path)
-    named = {"foreign list": FILE_LIST, "not listed": "c.txt"}.get(change, "a.txt")
     with pytest.raises(PixsimError, match=rf"holds .*{named}.*Choose another with --out"):
         check_replaceable(tmp_path, ["a.txt", "c.txt"])
     with pytest.raises(PixsimError, match=named):
@@ -123,13 +129,11 @@ def test_publishing_killed_between_moves_is_resumed(
 ) -> None:
     """Whichever of the files are moved, the same command may go on."""
     publish(tmp_path, a="1", b="2")
-    replace, moves = os.replace, []
+    replace, moves = os.replace, iter([None, KeyboardInterrupt])
 
     def fails(path: Path, target: str | Path, **options: int) -> None:
-        if str(target).endswith(".txt"):
-            moves.append(target)
-            if len(moves) == 2:
-                raise KeyboardInterrupt
+        if str(target).endswith(".txt") and next(moves):
+            raise KeyboardInterrupt
         replace(path, target, **options)
 
     with monkeypatch.context() as patch:

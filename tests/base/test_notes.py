@@ -69,8 +69,7 @@ def test_collected_notes_inner_block_shares_list() -> None:
         tell("settings")
         with collected_notes() as inner:
             tell("result")
-            assert inner == ["settings", "result"]
-    assert notes == ["settings", "result"]
+    assert notes == inner == ["settings", "result"]
     with collected_notes() as after:
         assert after == []
 
@@ -257,11 +256,9 @@ def test_lines_time_left_of_a_stage_that_begins_again(
     """What a finer film has left follows from its own speed."""
     lines, clock, written = recorder
     lines.begin("render")
-    clock.now += 9
-    lines.update(0.9)
-    lines.update(0.0)
-    clock.now += 10
-    lines.update(0.5)
+    for seconds, share in ((9, 0.9), (0, 0.0), (10, 0.5)):
+        clock.now += seconds
+        lines.update(share)
     lines.tick()
     assert written[-1] == "[19 s] render: 50 %, about 10 s left"
 

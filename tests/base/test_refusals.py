@@ -21,7 +21,6 @@ from pydantic import Field, create_model
 import pixsim
 from pixsim.base import cache, door
 from pixsim.base.bounds import POSITIVE
-from pixsim.base.errors import PixsimError
 from pixsim.base.problems import explain
 from pixsim.base.records import Record, checked
 from pixsim.optics.camera import Camera, CameraOptions
@@ -31,7 +30,6 @@ from pixsim.sensor.pixel_options import Pixel, PixelOptions
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
-from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings, settings_layer
 
@@ -59,23 +57,23 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         r"camera\.pixels: got \[640, 480\]",
     ),
     "quick, of a study": (
-        lambda: pixsim.study(Study(name="x"), "out", quick=True),
+        lambda: pixsim.study(pixsim.Study(name="x"), "out", quick=True),
         "quick: got with a Study",
     ),
     "files of settings, of a study": (
-        lambda: pixsim.study(Study(name="x"), "out", config=["sensor.toml"]),
+        lambda: pixsim.study(pixsim.Study(name="x"), "out", config=["sensor.toml"]),
         "config: got with a Study",
     ),
     "a study of an incomplete data sheet": (
-        lambda: Study(name="a", technologies=["none"], pixel=INCOMPLETE),
+        lambda: pixsim.Study(name="a", technologies=["none"], pixel=INCOMPLETE),
         "missing: data_sheet_pitch_um, quantum_efficiency",
     ),
     "a study of a data sheet and a technology": (
-        lambda: Study(name="a", technologies=["none", "0.35um"], pixel=INCOMPLETE | ADDED),
+        lambda: pixsim.Study(name="a", technologies=["none", "0.35um"], pixel=INCOMPLETE | ADDED),
         r"'none' is the data sheet of \[pixel\]; give it alone",
     ),
     "pixels of a study without a pitch": (
-        lambda: Study(name="a", camera={"pixels": [500, 400]}),
+        lambda: pixsim.Study(name="a", camera={"pixels": [500, 400]}),
         "needs the pitch of the sensor",
     ),
     "a focus within the focal length": (
@@ -119,7 +117,7 @@ def test_settings_that_do_not_go_together_are_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     call, words = CALLS[case]
-    with pytest.raises(PixsimError, match=words):
+    with pytest.raises(pixsim.PixsimError, match=words):
         call()
     assert list(tmp_path.iterdir()) == []
 
@@ -127,7 +125,7 @@ def test_settings_that_do_not_go_together_are_refused(
 @pytest.mark.parametrize("text", TEXTS)
 def test_words_and_units_of_data_sheets_are_answered_in_ours(text: str, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(PixsimError) as error:
+    with pytest.raises(pixsim.PixsimError) as error:
         run_settings(tmp_path / "s.toml", {})
     assert TEXTS[text] in str(error.value)
 
@@ -138,7 +136,7 @@ def test_technologies_that_are_the_same_process_are_refused(tmp_path: Path) -> N
         (tmp_path / f"{name}.toml").write_bytes(TECHNOLOGY.read_bytes())
     text = 'name = "x"\ntechnologies = ["a.toml", "b.toml"]\n'
     (tmp_path / "study.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(PixsimError, match=r"b\.toml.*the same process"):
+    with pytest.raises(pixsim.PixsimError, match=r"b\.toml.*the same process"):
         prepare(load_study(tmp_path / "study.toml"))
 
 
@@ -147,7 +145,7 @@ def test_sizes_that_no_cache_can_have_are_refused(
     size: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(cache.LIMIT_VARIABLE, size)
-    with pytest.raises(PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
+    with pytest.raises(pixsim.PixsimError, match=r"PIXSIM_CACHE_GIB.*allowed: a size in GiB"):
         cache.limit_bytes()
 
 
@@ -177,7 +175,7 @@ def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
         (ArrayLike, [1.0, value]),
         (tuple[float, float], (1.0, value)),
     ):
-        with pytest.raises(PixsimError, match=words):
+        with pytest.raises(pixsim.PixsimError, match=words):
             checked_as(Annotated[kind, bounds])(argument)
         checked_as(Annotated[kind, bounds])(1e-30 if kind is float else (1.0, 1e-30))
 
@@ -197,7 +195,7 @@ def test_functions_share_the_bounds_of_records(field: Any, allowed: list[float])
         assert function(value) == record(number=value).number == value
     for value in {0.0, 1.5, 2.0, 2.5, 3.0, 3.5, float("nan")} - {*allowed}:
         for call in (partial(function, value), partial(record, number=value)):
-            with pytest.raises(PixsimError):
+            with pytest.raises(pixsim.PixsimError):
                 call()
 
 
@@ -218,7 +216,7 @@ def test_extremes_in_free_tables_of_a_study_are_refused(
     text = f"name = 'x'\n{FREE_TABLES[table].format(value)}\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     start = time.process_time()
-    with pytest.raises(PixsimError):
+    with pytest.raises(pixsim.PixsimError):
         prepare(load_study(tmp_path / "s.toml"))
     assert time.process_time() - start < MAX_CPU_S
 
@@ -313,7 +311,7 @@ def test_no_message_quotes_a_file(kind: str, tmp_path: Path) -> None:
         try:
             READERS[kind](path)
         except ValueError as error:  # of pydantic too
-            message = str(error) if isinstance(error, PixsimError) else explain(error)
+            message = str(error) if isinstance(error, pixsim.PixsimError) else explain(error)
             assert not PARTS.search(message), text
             refused += 1
     assert refused > len(CONTENTS[kind]) / 3
@@ -326,9 +324,9 @@ def test_what_the_user_types_is_quoted(tmp_path: Path) -> None:
         ' value="$r"/></shape>'
     )
     scene.write_text(SCENE.format(text), encoding="utf-8")
-    with pytest.raises(PixsimError, match=f"^r: got '{KEY[:8]}"):
+    with pytest.raises(pixsim.PixsimError, match=f"^r: got '{KEY[:8]}"):
         pixsim.load_scene(scene, r=KEY, variant="scalar_spectral")
     light = {"data": np.ones((2, 2, 1)), "wavelength_nm": [550.0], "band_width_nm": [10.0]}
     np.savez(tmp_path / "a.npz", **light)
-    with pytest.raises(PixsimError, match=re.escape(f"got '{KEY}'")):
+    with pytest.raises(pixsim.PixsimError, match=re.escape(f"got '{KEY}'")):
         pixsim.read_irradiance(tmp_path / "a.npz", units=KEY, pitch_um=1.0)

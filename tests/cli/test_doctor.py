@@ -20,7 +20,6 @@ from pixsim.scene.variants import graphics, variant
 
 
 def written(root: Path, files: dict[str, str]) -> Path:
-    """Write files to a folder and return it."""
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text, encoding="utf-8")

@@ -19,7 +19,6 @@ from rich.console import Console
 
 import pixsim
 from pixsim.base.caller import OPTIONS
-from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
 from pixsim.base.records import Record, as_list, checked
 from pixsim.base.result import Result
@@ -27,9 +26,6 @@ from pixsim.base.toml import packaged
 from pixsim.cli.commands import app
 from pixsim.cli.help import COMMON, MIN_SHORTENED
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.sensor.motion_options import Motion
-from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.settings import Study
 from pixsim.viewer.metric_options import Niirs
 from pixsim.viewer.setting import Run
 
@@ -88,10 +84,10 @@ def test_options_match_fields_of_files() -> None:
 @pytest.mark.parametrize(
     ("option", "record", "name"),
     [
-        ("20000,-5", Motion, "velocity_mm_per_s"),
-        ("20000,-5", Motion, "image_um_per_s"),
-        ("20000 -5", Motion, "pixels_per_s"),
-        ("0.25,0.5", Pixel, "registration"),
+        ("20000,-5", pixsim.Motion, "velocity_mm_per_s"),
+        ("20000,-5", pixsim.Motion, "image_um_per_s"),
+        ("20000 -5", pixsim.Motion, "pixels_per_s"),
+        ("0.25,0.5", pixsim.Pixel, "registration"),
         ("0.1,0.5", Niirs, "reflectances"),
     ],
 )
@@ -106,8 +102,10 @@ def test_pairs_of_numbers_are_texts_of_options(
 def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:
     """The file has both numbers; the option replaces them, and lacks one."""
     file = Layer({"velocity_mm_per_s": [300, 0]}, "belt.toml")
-    with pytest.raises(PixsimError, match=r"^velocity_mm_per_s: got a list of 1; .* at least 2"):
-        checked(Motion, [file, Layer({"velocity_mm_per_s": "300"})])
+    with pytest.raises(
+        pixsim.PixsimError, match=r"^velocity_mm_per_s: got a list of 1; .* at least 2"
+    ):
+        checked(pixsim.Motion, [file, Layer({"velocity_mm_per_s": "300"})])
 
 
 # Every option of every command that may be repeated, with the name of the command.
@@ -304,8 +302,8 @@ def test_command_missing_folder_is_named(
 # Command -> its function, and the record whose fields it takes as further keywords.
 FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
     "run": (pixsim.run, Run),
-    "study": (pixsim.study, Study),
-    "compare": (pixsim.compare, Study),
+    "study": (pixsim.study, pixsim.Study),
+    "compare": (pixsim.compare, pixsim.Study),
     "datasheet": (pixsim.datasheet, None),
     "accuracy": (pixsim.accuracy, None),
     "sfr": (pixsim.sfr, None),
