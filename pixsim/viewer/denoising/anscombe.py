@@ -27,6 +27,9 @@ _OFFSET_E = 3 / 8
 _SERIES_FROM_E = 250.0  # of λ + σ²: from here the series of f about its mean errs by less than 1e-9
 _TAIL = 9.0  # standard deviations: all beyond is below 1e-17 of the whole
 _GAUSSIAN_STEPS = 400  # of √u: the trapezium rule converges faster than any power of the step
+# Smaller noise in electrons changes E √u by less than σ²/8u^1.5, 5e-13, and its integral would be
+# rounded.
+_LEAST_SIGMA_E = 1e-6
 _TABLE_STEP = 0.02  # of f: interpolation between such values errs by less than 1e-5 e-
 _TABLE_END = 2e3  # of f, a million electrons: beyond, the correction is constant within 1e-6 e-
 
@@ -107,7 +110,7 @@ def _summed(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     # E √u and E u for each number of electrons, over the Gaussian noise.
     centres_e = counts + _OFFSET_E + variance_e2
     sigma_e = math.sqrt(variance_e2)
-    if sigma_e:
+    if sigma_e > _LEAST_SIGMA_E:
         roots, squares = _gaussian_means(centres_e, sigma_e)
     else:
         roots = np.sqrt(centres_e)
