@@ -1,5 +1,5 @@
-"""The fitted minimum of known curves, the coverage of its interval, and rounds of additions until the
-target interval, reproducible however the study is run.
+"""The fitted minimum of known curves, the coverage of its interval, and rounds of additions until
+the target interval, reproducible however the study is run.
 """
 
 from __future__ import annotations
@@ -87,7 +87,6 @@ def fitted(
 
 X = np.arange(-3.0, 4.0)
 EXACT = np.zeros(7)
-CORNER = np.maximum(-10.0 * (X + 0.5), 0.2 * (X + 0.5))  # least at -0.5
 STEEP_PAIR = np.array([[0.5, 1.5], [5.0, 9.0]])
 PLACES = np.linspace(0, 1, 11)
 VERTICES = np.array([0.123, 0.5, 0.931])
@@ -101,7 +100,7 @@ CLAIMS = [
     ),
     Claim(
         "the corner of two lines lies at an end of one",
-        lambda: convex_range(X, CORNER, EXACT),
+        lambda: convex_range(X, np.maximum(-10 * (X + 0.5), (X + 0.5) / 5), EXACT),
         [-0.51, 0.0],
         atol=1e-12,
     ),
@@ -242,12 +241,11 @@ def test_convex_range_contains_the_minimum_of_convex_curves(seed: int) -> None:
     """Of lines, exponentials and parabolas, through points that are anywhere."""
     rng = np.random.default_rng(seed)
     points = np.sort(rng.uniform(0, 1, 12))
-    slopes = rng.normal(0, 30, 6)
-    centres = rng.uniform(-1, 1, 6)
+    slopes, centres = rng.normal(0, 30, 6), rng.uniform(-1, 1, 6)
 
     def curve(x: Array) -> Array:
-        lines = (slopes * (x[:, None] - centres)).max(axis=1)
-        return np.asarray(lines + 5 * (x - 0.5) ** 2 + 20 * np.exp(-x / 0.05))
+        lines = slopes * (x[:, None] - centres)
+        return np.asarray(lines.max(axis=1) + 5 * (x - 0.5) ** 2 + 20 * np.exp(-x / 0.05))
 
     fine = np.linspace(points[0], points[-1], 100_001)
     least = fine[curve(fine).argmin()]
@@ -296,8 +294,8 @@ def test_fit_curve_ignores_missing_sensors() -> None:
     delta_e[5, 2:] = np.nan
     fit = fit_curve(PITCH_UM, delta_e)
     assert fit.likeliest.design.sensors.tolist() == [8] * 5 + [2] + [8] * 10
-    for same in (delta_e[:, ::-1], np.hstack([delta_e, np.full((PITCH_UM.size, 3), np.nan)])):
-        np.testing.assert_allclose(fit_curve(PITCH_UM, same).delta_e, fit.delta_e, rtol=1e-12)
+    wider = np.hstack([delta_e, np.full((PITCH_UM.size, 3), np.nan)])[:, ::-1]
+    np.testing.assert_allclose(fit_curve(PITCH_UM, wider).delta_e, fit.delta_e, rtol=1e-12)
 
 
 def test_places_are_logarithms_of_photodiode_widths() -> None:
@@ -625,13 +623,17 @@ def test_interval_of_all_looks_is_that_beside_an_end(least_um: float, ratio: flo
     assert stated_um / (fit.look_interval_um[1] - best_um) == ratio
 
 
-# Two powers of the size, least at 8 µm: half the interval is 3 % of it, all between the sizes.
-EXACT_POWERS = fit_curve(NINE_UM, sensors_of((NINE_UM / 8) ** -2 + NINE_UM / 4, 2))
-
-
 @pytest.mark.parametrize(
     ("fit", "evaluations"),
-    [(refined(0, below_the_sizes)[0], ROUND * SENSORS_PER_ADDITION), (EXACT_POWERS, 1)],
+    [
+        (refined(0, below_the_sizes)[0], ROUND * SENSORS_PER_ADDITION),
+        (
+            # Two powers of the size, least at 8 µm: half the interval is 3 % of it, all between the
+            # sizes.
+            fit_curve(NINE_UM, sensors_of((NINE_UM / 8) ** -2 + NINE_UM / 4, 2)),
+            1,
+        ),
+    ],
     ids=["an open end, by rounds", "a long interval, by one size"],
 )
 @pytest.mark.parametrize(
@@ -675,19 +677,19 @@ def test_next_sensors_round_size_and_position(seed: int) -> None:
 
 
 @pytest.mark.parametrize("max_sensors", [2, 5])
-def test_next_sensors_respects_limits(max_sensors: int) -> None:
+def test_next_sensors_respects_limits(max_sensors: int, fit: FittedCurve) -> None:
     """Until nothing more is possible: then each pitch near the minimum is full, and lies as close
     to the next as may be: a half of any larger step is still a step.
     """
-    fit = fit_of()
     sensors = START
     while (more := next_sensors(fit, sensors, max_sensors)) != sensors:
         sensors = more
     pitch_um = np.array(list(sensors))
-    assert (pitch_um[1:] / pitch_um[:-1]).min() >= MIN_RATIO
+    ratios = pitch_um[1:] / pitch_um[:-1]
+    assert ratios.min() >= MIN_RATIO
     first, last = np.searchsorted(pitch_um, fit.optimum.interval_um)
     assert set(list(sensors.values())[first:last]) == {max_sensors}
-    assert (pitch_um[first + 1 : last] / pitch_um[first : last - 1]).max() < 1.001 * MIN_RATIO**2
+    assert ratios[first : last - 1].max() < 1.001 * MIN_RATIO**2
 
 
 def test_next_sensors_choose_lowest_variance(fit: FittedCurve) -> None:
@@ -720,8 +722,8 @@ def test_rise_variance_matches_covariance() -> None:
 
 
 def study_with(**over: Any) -> pixsim.Study:
-    table = {"name": "target", "repeats": 2, "target_ci_um": 1e-3}
-    table |= {"pitch": {"values_um": NINE_UM.tolist()}}
+    sizes = {"values_um": NINE_UM.tolist()}
+    table = {"name": "target", "repeats": 2, "target_ci_um": 1e-3, "pitch": sizes}
     return pixsim.Study.model_validate(table | over)
 
 
@@ -819,11 +821,11 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
 
 
 def test_study_adds_rounds_to_limit(done: tuple[StudyResult, Path]) -> None:
-    result, folder = done
-    (curve,) = result.curves
-    assert len(set(keys(folder))) == len(keys(folder)) == EVALUATIONS == curve.sensors.sum()
+    (curve,) = done[0].curves
+    row_keys = keys(done[1])
+    assert len(set(row_keys)) == len(row_keys) == EVALUATIONS == curve.sensors.sum()
     assert set(tiny().pitch.values_um) <= set(curve.pitch_um.tolist())
-    assert "after 28 evaluations (max_evaluations)" in target_notes(result)[0]
+    assert "after 28 evaluations (max_evaluations)" in target_notes(done[0])[0]
 
 
 @pytest.mark.parametrize(("begun", "rows"), [(12, 4), (20, 24)], ids=["at first", "in a round"])
@@ -833,8 +835,8 @@ def test_study_interrupted_round_is_resumed(
     """Rows are written as they are made: an interruption leaves those of the rounds before, and
     some of a round.
     """
-    pixsim.study(tiny(max_evaluations=begun), tmp_path, jobs=1)
     path = tmp_path / "results.csv"
+    pixsim.study(tiny(max_evaluations=begun), tmp_path, jobs=1)
     whole = (done[1] / "results.csv").read_bytes()
     before = path.read_bytes().splitlines(keepends=True)
     later = [line for line in whole.splitlines(keepends=True) if line not in before]
@@ -844,4 +846,3 @@ def test_study_interrupted_round_is_resumed(
     assert len(evaluations) == EVALUATIONS - rows, "nothing is evaluated twice"
     assert path.read_bytes() == whole
     assert json.dumps(result.as_dict()) == json.dumps(done[0].as_dict())
-    assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]

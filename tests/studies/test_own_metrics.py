@@ -5,7 +5,6 @@ entry points of packages.
 from __future__ import annotations
 
 import sys
-import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,10 @@ import numpy as np
 import pytest
 from helpers.tiny import tiny_toml
 
-import pixsim
-from pixsim import Display, PixsimError, compare, run, score_pictures, study
+from pixsim import Display, Frame, PixsimError, compare, run, score_pictures, study
 from pixsim.base.user_code import content_of
 from pixsim.viewer import metric_registry
 from pixsim.viewer.metric_registry import METRICS, metrics_named
-
-FLAT = np.full((8, 8), 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -43,25 +39,20 @@ def test_a_function_is_a_metric_of_a_study_in_any_process(plan: Path, tmp_path: 
     """
     axis = [{"name": "aperture", "set": "camera.f_number", "values": [2.8, 8.0]}]
     options: dict[str, Any] = {"metrics": ["delta_e", rms_error], "axis": axis}
-    here = study(plan, tmp_path / "1", jobs=1, **options)
+    curves = study(plan, tmp_path / "1", jobs=1, **options).curves
     study(plan, tmp_path / "2", jobs=2, **options)
     assert (tmp_path / "1/results.csv").read_bytes() == (tmp_path / "2/results.csv").read_bytes()
-    values = np.array([curve.statistics["rms_error"] for curve in here.curves])
+    values = np.array([curve.statistics["rms_error"] for curve in curves])
     assert values.shape == (2, 6, 2)
     assert 0 < values.min() < values.max() < 1
-    assert here.curves[0].metrics[1].label == "RMS error (of white)"
+    assert curves[0].metrics[1].label == "RMS error (of white)"
 
 
 def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(
-    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plan: Path, tmp_path: Path, evaluations: list[Frame]
 ) -> None:
-    calls = types.SimpleNamespace(count=0)
-    # Of a module, which is no part of a function's content.
-    monkeypatch.setattr(pixsim, "calls_of_test", calls, raising=False)
-
     def made(factor: float) -> Any:
         def scaled(score: Any) -> float:
-            pixsim.calls_of_test.count += 1  # type: ignore[attr-defined]
             return factor * rms_error(score)
 
         return scaled
@@ -70,7 +61,7 @@ def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(
     values = []
     for factor in (1.0, 1.0, 2.0):
         result = study(plan, tmp_path, metrics=["delta_e", made(factor)], jobs=1)
-        counts.append(calls.count)
+        counts.append(len(evaluations))
         values.append(result.curves[0].statistics["scaled"])
     assert counts == [12, 12, 24]
     np.testing.assert_array_equal(values, [values[0], values[0], 2 * values[0]])
@@ -83,12 +74,12 @@ def from_text(text: str, **names: Any) -> Any:
 
 
 BASE = "def mine(score):\n    return float(score.image.mean())"
-SUM = "def mine(score):\n    return helper(score.image) + bias"
-HELPER = "def mine(x):\n    return float(x.mean()) * gain"
 
 
 def of_helper(gain: Any, bias: float, image: int = 0) -> Any:
-    return from_text(SUM, helper=from_text(HELPER, gain=gain), bias=bias, image=image)
+    helper = from_text("def mine(x):\n    return float(x.mean()) * gain", gain=gain)
+    text = "def mine(score):\n    return helper(score.image) + bias"
+    return from_text(text, helper=helper, bias=bias, image=image)
 
 
 @pytest.mark.parametrize(
@@ -120,30 +111,35 @@ def test_runs_and_comparisons_take_functions_too() -> None:
     """The quieter sensor has the smaller error."""
     small: dict[str, Any] = {"display": {"dots": 32}, "resolution": 48}
     small |= {"pixel": {"pitch_um": 60.0}, "metrics": ["delta_e", rms_error]}
-    result = run("csf", **small)
-    assert result.score.metrics["rms_error"] == rms_error(result.score)
+    score = run("csf", **small).score
+    assert score.metrics["rms_error"] == rms_error(score)
     pair = compare(["0.35um", "4t-bsi"], repeats=2, jobs=1, camera={"die_mm": 2.7}, **small)
-    errors = {name: values.mean() for name, values in pair.judged["rms_error"].items()}
-    assert errors["4t-bsi"] < errors["0.35um"]
+    errors = pair.judged["rms_error"]
+    assert errors["4t-bsi"].mean() < errors["0.35um"].mean()
 
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """An installed package with three entry points, of which two fail."""
+    files = {
+        "METADATA": "Metadata-Version: 2.1\nName: mymetrics\nVersion: 1.0\n",
+        "entry_points.txt": """[pixsim.metrics]
+contrast = mymetrics:michelson
+broken = mymetrics:missing
+noname = mymetrics:number
+""",
+        "../mymetrics.py": """
+def michelson(score):
+    high, low = score.image.max(), score.image.min()
+    return (high - low) / (high + low)
+michelson.better = 'more'
+number = 3
+""",
+    }
     info = tmp_path / "mymetrics-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mymetrics\nVersion: 1.0\n")
-    names = {"contrast": "michelson", "broken": "missing", "noname": "number"}
-    points = [f"{name} = mymetrics:{function}" for name, function in names.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[pixsim.metrics]", *points]))
-    code = """
-        def michelson(score):
-            high, low = score.image.max(), score.image.min()
-            return (high - low) / (high + low)
-        michelson.better = 'more'
-        number = 3
-    """
-    (tmp_path / "mymetrics.py").write_text("if True:" + code)
+    for name, text in files.items():
+        (info / name).write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield
     metric_registry.installed_metric.cache_clear()
@@ -161,5 +157,5 @@ def test_entry_points_of_installed_packages_are_metrics(package: None) -> None:
 @pytest.mark.parametrize("name", ["broken", "noname", "other"])
 def test_an_entry_point_that_fails_is_named(package: None, name: str) -> None:
     with pytest.raises(PixsimError, match=f"'{name}'"):
-        score_pictures(FLAT, FLAT, metrics=[name])
+        score_pictures(np.ones((8, 8)), np.ones((8, 8)), metrics=[name])
     assert metrics_named(["delta_e"]) == (METRICS["delta_e"],), "nothing is left"

@@ -1,12 +1,11 @@
-"""Comparison with the paper: closed forms, rows that agree if and only if the evidence does, and what
-another study over it, whose axes are moved alone, does to these statements.
+"""Comparison with the paper: closed forms, rows that agree if and only if the evidence does, and
+what another study over it, whose axes are moved alone, does to these statements.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,8 +15,7 @@ import pytest
 from helpers.chains import imaging
 from helpers.claims import Claim
 from helpers.tiny import COARSE, PITCHES_UM, keys, tiny, tiny_toml
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
+from scipy import ndimage, signal
 
 import pixsim
 from pixsim import Pixel, load_technology
@@ -76,7 +74,6 @@ Array = np.ndarray
 ROWS, COLUMNS = 240, 120
 ROW_RATIO = 100 ** (1 / ROWS)  # of the contrasts of neighbouring rows: they span 1 to 100
 CONTRAST = csf_contrast((np.arange(ROWS) + 0.5) / ROWS)[:, None]
-LOG_FREQUENCY = np.log(csf_frequency_lp_per_mm((np.arange(COLUMNS) + 0.5) / COLUMNS))[None, :]
 ISO = 3.0
 
 
@@ -119,9 +116,7 @@ SLOW = Camera(f_number=4.0)
 ONE_LINE = np.array([550.0])
 # nm: no lens in air is fast enough to make diffraction vanish, but a wavelength can be short enough
 X_RAYS = np.array([0.01])
-HOT = Study(name="known", process={"0.35um": {"dark_current_na_per_cm2": 30.0}})
 PAPER = derive(Pixel(capacitance="paper"))
-WELL_E = PAPER.full_well_e
 HOT_E = 30 * PAPER.dark_current_e_per_s * FIGURE_2_INTEGRATION_S
 PAPER_NM = np.arange(400.0, 721.0, 5.0)
 LINE_555_NM = np.where(PAPER_NM == 555.0, 1.0, 0.0)
@@ -303,16 +298,13 @@ CLAIMS = [
 ]
 
 
-STACK = {"height_um": 8.0, "index": 1.5, "shift": "optimal"}
-
-
 NYQUIST = np.array([0.0, 1e3 / 13.0])
 
 
 def stack_term(name: str, **stack: object) -> Array:
     """A term of a pixel of 6.5 µm with a stack, at 0 and at its Nyquist frequency."""
     result, pixel = chen2000(LINE_555_NM)
-    options = StackOptions(**STACK | stack)
+    options = StackOptions(**{"height_um": 8.0, "index": 1.5, "shift": "optimal"} | stack)
     physics = derive(pixel.model_copy(update={"stack": options}))
     return study_mtf_terms(result, physics, NYQUIST)[name]
 
@@ -367,9 +359,10 @@ def test_mtf_terms_name_the_real_lens() -> None:
     options = LensOptions(file="singlet", focal_length_mm=12.0)
     camera = camera_with_lens(Camera(object_distance_m=5.0), CameraOptions(), options)
     result.irradiance.header.update({LENS_HEADER: asdict(Tiling(300.0, 80.0, 0.0))})
-    setup = imaging(camera, pixel, display=result.study.display)
     real, thin = (
-        mtf_terms(setup.changed(camera=each), result.irradiance, np.array(30.0))
+        mtf_terms(
+            imaging(each, pixel, display=result.study.display), result.irradiance, np.array(30.0)
+        )
         for each in (camera, without_lens(camera))
     )
     assert 0.01 < float(real["real lens"]) < 0.7 * float(thin["lens"])
@@ -390,13 +383,12 @@ def chart_light() -> SpectralImage:
     return light
 
 
-OVER_FREQUENCY = np.repeat(LOG_FREQUENCY, ROWS, axis=0)
+OVER_FREQUENCY = np.tile(
+    np.log(csf_frequency_lp_per_mm((np.arange(COLUMNS) + 0.5) / COLUMNS)), (ROWS, 1)
+)
 OVER_CONTRAST = np.repeat(np.log(CONTRAST), COLUMNS, axis=1)
 BIN_LP_PER_MM = (100 / 3) ** (np.arange(1, 12, 2) / 12)
-BIN_CONTRAST = 975 / 1025 * 0.01 ** (np.arange(15, 0, -2) / 16)
 THRESHOLD = np.array([0.03, 0.1, 0.3, 0.5, 0.7, 0.9])
-BUMP = np.exp(-((np.log(CONTRAST / 0.1) / 0.5) ** 2))  # passes ½ at 0.1 e^±0.416
-SENSOR_MAPS = [np.full((ROWS, COLUMNS), float(sensor)) for sensor in range(10)]
 MAP_CLAIMS = [
     Claim(
         "bins of frequency are of equal ratio, from 1 to 33.3 lp/mm",
@@ -407,7 +399,7 @@ MAP_CLAIMS = [
     Claim(
         "bins of contrast are of equal ratio, downwards from 0.951",
         lambda: np.sort(frequency_contrast_table(OVER_CONTRAST)[1]),
-        np.sort(BIN_CONTRAST),
+        975 / 1025 * 0.01 ** (np.arange(15, 0, -2) / 16),
         rtol=1e-9,
     ),
     Claim(
@@ -441,8 +433,10 @@ MAP_CLAIMS = [
         [np.inf] * 6,
     ),
     Claim(
-        "the threshold of a bump is its first crossing",
-        lambda: threshold_contrast(np.repeat(BUMP, COLUMNS, axis=1), 0.5),
+        "the threshold of a bump is its first crossing: ½ at 0.1 e^-0.416",
+        lambda: threshold_contrast(
+            np.repeat(np.exp(-((np.log(CONTRAST / 0.1) / 0.5) ** 2)), COLUMNS, axis=1), 0.5
+        ),
         np.full(6, 0.1 * np.exp(-0.5 * np.sqrt(np.log(2)))),
         rtol=ROW_RATIO - 1 + 0.005,
         why="a row late; smoothed by 4 rows, the Gaussian passes ½ 0.5 % nearer",
@@ -456,14 +450,32 @@ MAP_CLAIMS = [
     Claim(
         "maps are the mean of eight sensors",
         lambda: Evidence(
-            lit(ONE_LINE, 10.0, EQUAL, maps=dict.fromkeys(THRESHOLDS, SENSOR_MAPS)), {}
+            lit(
+                ONE_LINE,
+                10.0,
+                EQUAL,
+                maps={
+                    size: [np.full((ROWS, COLUMNS), float(n)) for n in range(10)]
+                    for size in THRESHOLDS
+                },
+            ),
+            {},
         ).maps[8.0],
         np.full((ROWS, COLUMNS), 3.5),
     ),
     Claim(
         "thirty times the dark current makes thirty times the dark charge in equation (1)",
-        lambda: dr_and_snr_db(np.array([6.5]), "paper", reference_process(HOT))[0],
-        [20 * np.log10((WELL_E - HOT_E) / np.hypot(PAPER.reset_noise_e, np.sqrt(HOT_E)))],
+        lambda: dr_and_snr_db(
+            np.array([6.5]),
+            "paper",
+            reference_process(
+                Study(name="known", process={"0.35um": {"dark_current_na_per_cm2": 30.0}})
+            ),
+        )[0],
+        [
+            20
+            * np.log10((PAPER.full_well_e - HOT_E) / np.hypot(PAPER.reset_noise_e, np.sqrt(HOT_E)))
+        ],
         atol=1e-9,
     ),
 ]
@@ -474,13 +486,15 @@ def test_closed_forms(claim: Claim) -> None:
     claim.check()
 
 
-def test_prominent_maxima_as_of_scipy() -> None:
+@pytest.mark.parametrize("smoothing", [0.5, 2.0, 8.0])
+@pytest.mark.parametrize("padding", [0, 20])
+@pytest.mark.parametrize("prominence", [0.02, 0.1, 0.5])
+def test_prominent_maxima_as_of_scipy(smoothing: float, padding: int, prominence: float) -> None:
     """Of smooth and rough curves, with zeros around them, as a density has, and without."""
-    rng = np.random.default_rng(5)
-    for smoothing, padding, prominence in product((0.5, 2.0, 8.0), (0, 20), (0.02, 0.1, 0.5)):
-        values = np.pad(gaussian_filter1d(rng.random(300), smoothing), padding)
-        expected = len(find_peaks(values, prominence=prominence * values.max())[0])
-        assert prominent_maxima(values, prominence * values.max()) == expected
+    curve = ndimage.gaussian_filter1d(np.random.default_rng(5).random(300), smoothing)
+    values = np.pad(curve, padding)
+    peaks, _ = signal.find_peaks(values, prominence=prominence * values.max())
+    assert prominent_maxima(values, prominence * values.max()) == len(peaks)
 
 
 RNG = np.random.default_rng(1)
@@ -762,19 +776,21 @@ alone = true
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A working folder with both files."""
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with both files."""
     folder = tmp_path_factory.mktemp("desk")
     (folder / "tiny.toml").write_text(BASE_TOML, encoding="utf-8")
     (folder / "sensitivity.toml").write_text(SENSITIVITY_TOML, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        yield folder
+    return folder
+
+
+def sensitivity_study(desk: Path) -> Any:
+    return pixsim.study(desk / "tiny.toml", desk / "one", config=desk / "sensitivity.toml", jobs=1)
 
 
 @pytest.fixture(scope="module")
 def done(desk: Path) -> Any:
-    return pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1)
+    return sensitivity_study(desk)
 
 
 def case(result: Any, axis: str, value: float | str) -> StudyResult:
@@ -790,7 +806,7 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
     """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its
     upper end is 0.37. The random streams are those of the base.
     """
-    study = with_range_ends(load_study("tiny.toml", "sensitivity.toml"))
+    study = with_range_ends(load_study(desk / "tiny.toml", desk / "sensitivity.toml"))
     assert (study.name, study.stream_name, study.repeats) == ("tiny-sensitivity", "tiny", 2)
     labels = {axis.name: [point.label for point in axis.points] for axis in study.axis[2:]}
     assert labels == {
@@ -814,8 +830,8 @@ def test_range_of_leaves_out_what_has_no_range_and_an_end_that_is_set() -> None:
     with pytest.warns(UserWarning, match="no technology of the study has a range"):
         assert axes("peak_quantum_efficiency") == ()
     low, high = load_technology("0.35um").ranges["dsnu"]
-    (axis,) = axes("dsnu", dsnu=low)
-    assert [point.label for point in axis.points] == [f"0.35um {high:g}"]
+    points = [point.label for axis in axes("dsnu", dsnu=low) for point in axis.points]
+    assert points == [f"0.35um {high:g}"]
 
 
 def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
@@ -823,7 +839,7 @@ def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
     own.
     """
     over = {"repeats": 2, "pitch": {"values_um": PITCHES_UM}}
-    alone = pixsim.study("tiny.toml", desk / "a", jobs=1, **over)
+    alone = pixsim.study(desk / "tiny.toml", desk / "a", jobs=1, **over)
     for curve, expected in zip(done.parts[0].curves, alone.curves, strict=True):
         np.testing.assert_array_equal(curve.delta_e, expected.delta_e)
     assert set(keys(desk / "a")) < set(keys(desk / "one"))
@@ -845,20 +861,19 @@ def test_unchanged_technology_is_computed_once(done: Any, desk: Path) -> None:
     alone = case(done, "dark current", "0.25um 9").curves
     np.testing.assert_array_equal(alone[0].delta_e, done.parts[0].curves[0].delta_e)
     assert (alone[1].delta_e != done.parts[0].curves[1].delta_e).any()
-    again: Any = pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1)
+    again = sensitivity_study(desk)
     assert again.counts.evaluations_made == 0
     assert again.as_dict() | {"counts": None} == done.as_dict() | {"counts": None}
 
 
 def test_statements_of_a_case_are_those_of_the_study_alone(done: Any, desk: Path) -> None:
-    """The rows of the paper's process are shared between cases that do not change it."""
+    """All of the paper. The rows of its process are shared between cases that do not change it."""
     part = case(done, "dark current", "all high")
     study = part.study.model_copy(update={"streams": "tiny"})
     whole = pixsim.study(study, desk / "whole", jobs=1)
-    statements = done.findings[done.parts.index(part)]
-    evidence_alone = Evidence(whole, {curve.technology: curve for curve in whole.curves})
-    assert list(statements) == findings(evidence_alone)
-    assert len(statements) == 17, "every statement of the paper"
+    rows = findings(Evidence(whole, {curve.technology: curve for curve in whole.curves}))
+    assert list(done.findings[done.parts.index(part)]) == rows
+    assert len(rows) == 17
     unchanged = done.parts.index(case(done, "dark current", "0.25um 9"))
     assert done.findings[unchanged][:-3] == done.findings[0][:-3]
 
@@ -883,17 +898,18 @@ def test_verdicts_list_the_cases_that_turn_them() -> None:
     ):
         values = {"narrow": "base", "wide": "base"} | ({axis: label} if axis else {})
         optima_um = {"0.35um": size_um, "0.25um": 5.2, "0.18um": 4.1}
-        curves = (curve_of(name, optimum_um, BEST[name]) for name, optimum_um in optima_um.items())
-        case_labels = CaseLabels(values, alone=axis)
-        labelled = tuple(replace(curve, case=case_labels) for curve in curves)
-        parts.append(StudyResult(base.study, labelled, base.light))
+        curves = tuple(
+            replace(curve_of(name, optimum_um, BEST[name]), case=CaseLabels(values, alone=axis))
+            for name, optimum_um in optima_um.items()
+        )
+        parts.append(StudyResult(base.study, curves, base.light))
     by_technology = tuple(part.curves[place] for place in range(3) for part in parts)
     rows = tuple(tuple(scaling_rows(part.curves)) for part in parts)
     result = CasesResult(base.study, by_technology, base.light, parts=tuple(parts), findings=rows)
     by_statement = {verdict.finding.statement: verdict for verdict in verdicts(result)}
-    words = [verdict_words(verdict) for verdict in by_statement.values()]
-    assert sorted(words) == ["", "", "narrow: e; wide: d"]
-    assert verdict_words(by_statement[SLOWER]) == "narrow: e; wide: d"
+    words = {name: verdict_words(verdict) for name, verdict in by_statement.items()}
+    assert sorted(words.values()) == ["", "", "narrow: e; wide: d"]
+    assert words[SLOWER] == "narrow: e; wide: d"
     assert by_statement[SLOWER].finding.agrees
 
 

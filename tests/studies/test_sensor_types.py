@@ -1,5 +1,5 @@
-"""Sensor types: distributions of an optimum against closed forms, of a synthetic sensor whose optimum is
-known; and in studies and comparisons, where each type has the rows of its own numbers.
+"""Sensor types: distributions of an optimum against closed forms, of a synthetic sensor whose optimum
+is known; and in studies and comparisons, where each type has the rows of its own numbers.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,9 @@ from pixsim.sensor.diffusion import absorption_per_um
 from pixsim.sensor.spread import Spread
 from pixsim.studies.compare import scatter_variances
 from pixsim.studies.design import technology_of
-from pixsim.studies.engine import Workers
 from pixsim.studies.files import load_study, uncertainty_of
 from pixsim.studies.prepare import UncertaintyRequest, unknowns_of_study
 from pixsim.studies.settings import Study, with_data_sheets
-from pixsim.studies.study import draw_types
 from pixsim.studies.uncertainty import (
     MAX_TYPE_EVALUATIONS,
     NORMAL_95,
@@ -62,7 +60,6 @@ SHEET = {
     "dark_current_e_per_s": 1.0,
     "quantum_efficiency": 0.6,
 }
-WIDE_UM = (1e-3, 1e3)
 Z = stats.norm.ppf([0.05, 0.5, 0.95])
 BELOW_3 = "smaller than 3 µm"
 
@@ -73,7 +70,7 @@ def propagate(
     n: int,
     seed: int = 0,
     *,
-    tried_um: tuple[float, float] = WIDE_UM,
+    tried_um: tuple[float, float] = (1e-3, 1e3),
     scatter_um: float = 0.0,
     total: bool = False,
 ) -> UncertaintyResult:
@@ -91,8 +88,8 @@ def propagate(
         "interval_low_um": clipped_um - half_um,
         "interval_high_um": clipped_um + half_um,
         "inside": inside,
+        **dict.fromkeys(("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high"), best_um / 10),
     }
-    table |= dict.fromkeys(("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high"), best_um / 10)
     return UncertaintyResult(sample, table, {BELOW_3: best_um < 3}, n, seed, total=total)
 
 
@@ -111,8 +108,7 @@ def linear(draw: dict[str, float]) -> float:
 
 def product(draw: dict[str, float]) -> float:
     """z + z' + z z' of standard normal inputs, and 100."""
-    factors = 1 + (draw["read_noise_e"] - 5) / 0.5, 1 + (draw["full_well_e"] - 1e4) / WELL_SD_E
-    return 99 + factors[0] * factors[1]
+    return 99 + (draw["read_noise_e"] - 4.5) / 0.5 * (1 + (draw["full_well_e"] - 1e4) / WELL_SD_E)
 
 
 # --- closed forms
@@ -122,35 +118,49 @@ def product(draw: dict[str, float]) -> float:
 def test_linear_optimum_of_normal_inputs(seed: int) -> None:
     """Over 40 seeds of 256 draws the quantiles are within 0.09 sd."""
     result = propagate(NORMAL, linear, 256, seed)
-    quantiles_um = list(result.optimum.quantiles.values())
-    np.testing.assert_allclose(quantiles_um, 3.1 + 0.5 * Z, atol=0.12 * 0.5)
+    np.testing.assert_allclose([*result.optimum.quantiles.values()], 3.1 + 0.5 * Z, atol=0.12 * 0.5)
     verdict = result.verdicts[BELOW_3]
     assert verdict.probability == pytest.approx(stats.norm.cdf(-0.2), abs=0.02)
     assert verdict.low < stats.norm.cdf(-0.2) < verdict.high
 
 
 # Variances of 0.09 and 0.16 of the inputs and 0.09 of the evaluations.
-PARTS = {"read_noise_e": 0.09, "full_well_e": 0.16, "dsnu": 0.0, SCATTER: 0.09}
-LINEAR_SHARES = {name: part / 0.34 for name, part in PARTS.items()}
-SCATTERED = partial(propagate, NORMAL, linear, scatter_um=0.3)
-SOBOL = partial(propagate, NORMAL[:2], product, 500, total=True)
+LINEAR_SHARES = {
+    "read_noise_e": 0.09 / 0.34,
+    "full_well_e": 0.16 / 0.34,
+    "dsnu": 0.0,
+    SCATTER: 0.09 / 0.34,
+}
 
 
 @pytest.mark.parametrize(
-    ("call", "kind", "expected"),
+    ("kind", "sample", "options", "expected"),
     [
-        *((partial(SCATTERED, *sample), "first", LINEAR_SHARES) for sample in ((64, 0), (64, 1), (512, 0))),
-        *((SOBOL, kind, {"read_noise_e": share, "full_well_e": share}) for kind, share in (("first", 1 / 3), ("total", 2 / 3))),
+        ("first", (NORMAL, linear, 64, 0), {"scatter_um": 0.3}, LINEAR_SHARES),
+        ("first", (NORMAL, linear, 64, 1), {"scatter_um": 0.3}, LINEAR_SHARES),
+        ("first", (NORMAL, linear, 512, 0), {"scatter_um": 0.3}, LINEAR_SHARES),
+        (
+            "first",
+            (NORMAL[:2], product, 500),
+            {"total": True},
+            {"read_noise_e": 1 / 3, "full_well_e": 1 / 3},
+        ),
+        (
+            "total",
+            (NORMAL[:2], product, 500),
+            {"total": True},
+            {"read_noise_e": 2 / 3, "full_well_e": 2 / 3},
+        ),
     ],
     ids=["64", "64, other seed", "512", "Sobol' first", "Sobol' total"],
-)  # fmt: skip
+)
 def test_shares_of_the_inputs(
-    call: Callable[[], UncertaintyResult], kind: str, expected: dict[str, float]
+    kind: str, sample: tuple[Any, ...], options: dict[str, Any], expected: dict[str, float]
 ) -> None:
     """Within 3 of their standard errors: of 500 seeds none of a linear optimum is beyond, and of 100
     seeds none of Sobol' points is beyond 2.9.
     """
-    shares = call().shares["optimum_um"]
+    shares = propagate(*sample, **options).shares["optimum_um"]
     for name, share in expected.items():
         estimate = shares[name][kind]
         limit = 3 * estimate.standard_error
@@ -192,20 +202,17 @@ def test_unknown_at_matches_scipy(
     np.testing.assert_allclose(slopes, slopes[0], rtol=1e-8)
 
 
-def test_optima_at_an_end_count_as_that_size() -> None:
+@pytest.mark.parametrize(
+    ("tried_um", "share"), [((2.6, 40.0), stats.norm.cdf(-1)), ((10.0, 20.0), 1.0)]
+)
+def test_optima_at_an_end_count_as_that_size(tried_um: tuple[float, float], share: float) -> None:
     """Below 2.6 µm, a standard deviation below the mean, are 15.9 % (over 40 seeds, within 1.4 %);
-    their p05 is the end.
+    their p05 is the end. Where all are at an end, the shares of the inputs are unknown.
     """
-    result = propagate(NORMAL, linear, 256, 1, tried_um=(2.6, 40.0))
-    assert result.share_at_ends == pytest.approx(stats.norm.cdf(-1), abs=0.02)
-    assert result.optimum.quantiles["p05"] == 2.6
-
-
-def test_shares_of_optima_that_are_all_at_an_end_are_unknown() -> None:
-    result = propagate(NORMAL, linear, 16, tried_um=(10.0, 20.0))
-    expected = {"quantiles": dict.fromkeys(("p05", "p50", "p95"), 10.0), "share_at_ends": 1.0}
-    assert result.as_dict()["optimum_um"] == expected
-    assert {row[1] for row in shares_table(result).rows} == {"unknown"}
+    result = propagate(NORMAL, linear, 256, 1, tried_um=tried_um)
+    assert result.share_at_ends == pytest.approx(share, abs=0.02)
+    assert result.optimum.quantiles["p05"] == tried_um[0]
+    assert ({row[1] for row in shares_table(result).rows} == {"unknown"}) == (share == 1.0)
 
 
 @pytest.mark.parametrize(("holds", "draws"), [(0, 64), (1, 64), (64, 64), (250, 256)])
@@ -243,13 +250,13 @@ def test_unknowns_of_study_leave_out_what_the_pixel_replaces(
     """A technology's mismatch of the layout is known where the pixel gives a plain number in its
     place.
     """
-    parts = packaged("data/technologies")["0.35um"].read_text(encoding="utf-8").split("\n\n")
-    parts = [part for part in parts if not part.startswith(("[prnu]", "[offset_fpn]"))]
+    text = packaged("data/technologies")["0.35um"].read_text(encoding="utf-8")
+    parts = [part for part in text.split("\n\n") if not part.startswith(("[prnu]", "[offset_fpn]"))]
     entry = 'value = 0.05\nrange = [0.04, 0.06]\nconfidence = "D"\nsource = "here"\n'
     parts += [f"[{name}]\n{entry}" for name in sorted(LAYOUT)]
     path = tmp_path / "layout.toml"
     path.write_text("\n\n".join(parts), encoding="utf-8")
-    study = Study.model_validate({"name": "s", "technologies": [str(path)], "pixel": pixel})
+    study = Study(name="s", technologies=[str(path)], pixel=pixel)
     assert {unknown.quantity for unknown in unknowns_of_study(study)} & LAYOUT == left
 
 
@@ -318,8 +325,8 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
     """0.9 at 600 nm: 5 µm of silicon absorb 0.876 of that light, too little for it, and 10 µm
     0.985, where draws end.
     """
-    numbers = SHEET | {"quantum_efficiency": 0.9, "quantum_efficiency_nm": 600}
-    deep = Pixel(**numbers, quantum_efficiency_depth_um=10)
+    efficiency = {"quantum_efficiency": 0.9, "quantum_efficiency_nm": 600}
+    deep = Pixel(**SHEET | efficiency, quantum_efficiency_depth_um=10)
     (unknown,) = unknowns_of_sheet(deep, {"quantum_efficiency": Spread(sd=0.05)})
     highest = float(unknown.at(np.array([1.0]))[0])
     assert highest == pytest.approx(1 - np.exp(-10 * absorption_per_um(600.0)), rel=1e-9)
@@ -425,8 +432,6 @@ SMALL = TINY | {
     "display": {"dots": 16},
     "pitch": {"min_fill_factor": 0.05, "count": 5, "max_um": 12.0},
 }
-DRAWS = 8
-FILE = "types_information.csv"
 
 
 def written(**over: Any) -> str:
@@ -445,9 +450,8 @@ def sheet(path: Path, table: dict[str, Any] | None = None, **more: Any) -> Path:
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """The types of both technologies by information."""
     folder = tmp_path_factory.mktemp("types")
-    study = Study.model_validate(merge(SMALL, {"metrics": ["information"]}))
-    options = {"uncertainty": DRAWS, "smaller_than_um": (1.0, 20.0)}
-    return pixsim.study(study, folder, jobs=1, **options), folder
+    study = Study.model_validate(SMALL | {"metrics": ["information"]})
+    return pixsim.study(study, folder, jobs=1, uncertainty=8, smaller_than_um=(1.0,)), folder
 
 
 def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
@@ -455,9 +459,9 @@ def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
 ) -> None:
     """With the same random streams, around the optimum of the metric."""
     result, folder = done
-    sample = UncertaintyRequest(DRAWS).sample(result.study)
+    sample = UncertaintyRequest(8).sample(result.study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    table = rows(folder / FILE)
+    table = rows(folder / "types_information.csv")
     drawn = [row for row in table if (row["draw"], row["technology"]) == ("3", "0.25um")]
     assert 5 <= len(drawn) <= MAX_TYPE_EVALUATIONS
 
@@ -483,18 +487,8 @@ def test_verdicts_are_shares_of_the_types(done: tuple[Any, Path]) -> None:
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
 
 
-def test_drawing_again_computes_nothing(done: tuple[Any, Path], evaluations: list[Frame]) -> None:
-    result, folder = done
-    before = (folder / FILE).read_bytes()
-    request = UncertaintyRequest(DRAWS, smaller_than_um=(1.0, 20.0))
-    again = draw_types(result, request, folder, Workers(), lambda: None)
-    assert evaluations == []
-    assert (folder / FILE).read_bytes() == before
-    assert [each.as_dict() for each in again] == [each.as_dict() for each in result.uncertainty]
-
-
 def test_sobol_in_python_has_the_indices_of_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
 ) -> None:
     """The command takes the rows of the study in Python; that in settings.toml draws the same
     types.
@@ -506,8 +500,10 @@ def test_sobol_in_python_has_the_indices_of_the_command(
     (result,) = pixsim.study("s.toml", "out", **options).uncertainty
     assert result.draws == 8 * (1 + 2)
     before = Path("out", TYPES_FILE).read_bytes()
+    evaluations.clear()
     line = "--sobol 8 --smaller-than 6.0"
     command(f"study s.toml --config sheet.toml {line} --jobs 1 --out out")
+    assert evaluations == [], "rows and types are those of before"
     assert Path("out", TYPES_FILE).read_bytes() == before
     summary = json.loads(Path("out/summary.json").read_bytes())
     assert summary["uncertainty"] == [json.loads(json.dumps(result.as_dict()))]
@@ -518,12 +514,15 @@ def test_sobol_in_python_has_the_indices_of_the_command(
 def sheets(tmp_path: Path) -> tuple[Path, list[str]]:
     """A study of two sheets and two technologies, whose [pixel] has an uncertain PRNU."""
     spreads = {"dsnu": {"sd": 0.02}, "read_noise_e": {"range": [15.0, 25.0]}}
-    sheet(tmp_path / "a.toml", dsnu=0.2, uncertainty=spreads)
-    sheet(tmp_path / "b.toml", dsnu=0.2, prnu=0.02, read_noise_e=18.0, uncertainty=spreads)
-    text = written(technologies=["a.toml", "b.toml", *NAMES], resolution=COARSE)
-    text += "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
+    changes = {"a": {"dsnu": 0.2}, "b": {"dsnu": 0.2, "prnu": 0.02, "read_noise_e": 18.0}}
+    files = [
+        str(sheet(tmp_path / f"{name}.toml", uncertainty=spreads, **more))
+        for name, more in changes.items()
+    ]
+    pixel = {"prnu": 0.01, "uncertainty": {"prnu": {"sd": 0.001}}}
+    text = written(technologies=[*files, *NAMES], resolution=COARSE, pixel=pixel)
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
-    return tmp_path / "s.toml", [str(tmp_path / "a.toml"), str(tmp_path / "b.toml")]
+    return tmp_path / "s.toml", files
 
 
 def test_sheets_have_separate_draws(sheets: tuple[Path, list[str]]) -> None:
@@ -545,22 +544,21 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(
     path, files = sheets
     over = {"technologies": files, "pitch": {"values_um": [4, 5, 6, 7, 8]}}
     result = pixsim.study(path, tmp_path / "out", jobs=1, **over)
-    (tmp_path / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
+    settings = tmp_path / "settings.toml"
+    settings.write_text(result.settings_toml, encoding="utf-8")
     sheet(Path(files[0]), uncertainty={"full_well_e": {"sd": 3.0}})
     spreads = {"dsnu": Spread(sd=0.02), "read_noise_e": Spread(range=(15.0, 25.0))}
     expected = {"": {"prnu": Spread(sd=0.001)}} | dict.fromkeys(files, spreads)
-    assert uncertainty_of(tmp_path / "settings.toml") == expected
-    assert load_study(tmp_path / "settings.toml").sensors == result.study.sensors
+    assert uncertainty_of(settings) == expected
+    assert load_study(settings).sensors == result.study.sensors
 
 
-def test_dry_run_counts_the_time_of_sensor_types(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_dry_run_counts_the_time_of_sensor_types(tmp_path: Path) -> None:
     """64 types take eight times as long as 8, beside the study itself."""
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["0.35um"]), encoding="utf-8")
+    (tmp_path / "s.toml").write_text(written(technologies=["0.35um"]), encoding="utf-8")
+    line = f"study {tmp_path / 's.toml'} --dry-run --json"
     seconds = [
-        json.loads(command(f"study s.toml --dry-run --json{more}")[1])["estimate"]["seconds"]
+        json.loads(command(f"{line}{more}")[1])["estimate"]["seconds"]
         for more in ("", " --uncertainty 8", " --uncertainty 64")
     ]
     assert seconds[2] - seconds[0] == pytest.approx(8 * (seconds[1] - seconds[0]), rel=1e-9)
@@ -569,8 +567,13 @@ def test_dry_run_counts_the_time_of_sensor_types(
 
 # --- of a comparison
 
-DIM = {"luminance_cd_per_m2": 0.05}  # so that read noise decides
-PAIR = {"display": {"dots": 32}, "resolution": COARSE, "repeats": 3, "jobs": 1, "parameters": DIM}
+PAIR = {
+    "display": {"dots": 32},
+    "resolution": COARSE,
+    "repeats": 3,
+    "jobs": 1,
+    "parameters": {"luminance_cd_per_m2": 0.05},  # so that read noise decides
+}
 
 
 def unsure(path: Path, low_e: float, high_e: float) -> Path:
@@ -683,10 +686,9 @@ def test_an_interrupted_comparison_of_types_goes_on(
     whole = Path(TYPES_FILE).read_bytes()
     lines = whole.splitlines(keepends=True)
     Path(TYPES_FILE).write_bytes(b"".join(lines[:9]))
-    settings = Path(SETTINGS_FILE).read_text(encoding="utf-8").splitlines()
-    (repeat,) = [line for line in settings if "pixsim compare" in line]
     evaluations.clear()
-    command(repeat.removeprefix("# pixsim ") + " --jobs 1 --out .")
+    repeat = re.search("# pixsim (compare .*)", Path(SETTINGS_FILE).read_text(encoding="utf-8"))
+    command(f"{repeat[1]} --jobs 1 --out .")
     assert len(evaluations) < len(lines) - 1, "not all again"
     assert Path(TYPES_FILE).read_bytes() == whole
     assert json.loads(Path("compare.json").read_bytes())["uncertainty"] == first

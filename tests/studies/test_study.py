@@ -1,35 +1,45 @@
-"""Studies: rows computed and stored, independent of workers, threads, order and interruptions."""
+"""Studies: rows computed and stored, independent of workers, threads, order and interruptions; the
+table of evaluations, its file, and the memory of many; and results that release 1.0.0 wrote.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+import re
+import shutil
+import tracemalloc
 import warnings
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.tiny import PITCHES_UM, WHOLE_CHART, keys, rows, tiny as tiny_study, tiny_toml
+from helpers.tiny import PITCHES_UM, WHOLE_CHART, rows, tiny as tiny_study, tiny_toml, toml_of
 
 import pixsim
+from pixsim import Frame
 from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.schema import SCHEMA, json_text
 from pixsim.base.toml import packaged, read_toml
 from pixsim.report.axes import optima_columns
 from pixsim.report.curve import delta_e_against_pitch, optimum_line
+from pixsim.report.run import run_document
 from pixsim.report.study import report_files
-from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluate as evaluate_module
 from pixsim.studies.result import StudyResult
+from pixsim.studies.table import COLUMNS, REASON, Store, Table
+from pixsim.viewer.settings_file import run_settings
 
-SETTINGS = {"repeats": 3, "seed": 1}
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
 
 
 def tiny(**over: object) -> pixsim.Study:
-    return tiny_study(**SETTINGS | over)
+    return tiny_study(**{"repeats": 3, "seed": 1} | over)
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +50,13 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]:
 
 
 def test_study_has_row_per_pitch_and_sensor(done: tuple[StudyResult, Path]) -> None:
-    result, folder = done
-    table = rows(folder)
+    (curve,) = done[0].curves
+    table = rows(done[1])
     places = [(float(row["pitch_um"]), int(row["repeat"])) for row in table]
-    assert places == [(pitch_um, repeat) for pitch_um in PITCHES_UM for repeat in range(3)]
-    assert len(set(keys(folder))) == 18
-    curve = result.curves[0]
+    assert places == list(product(PITCHES_UM, range(3)))
+    assert len({row["key"] for row in table}) == len(np.unique(curve.delta_e)) == 18
     delta_e = [float(row["mean_delta_e"]) for row in table]
     np.testing.assert_array_equal(curve.delta_e.ravel(), delta_e)
-    assert len(np.unique(curve.delta_e)) == 18, "no two sensors are the same"
     # The fitted minimum can lie below the lowest point, not above its mean by more than the fit
     # smooths.
     least = curve.delta_e.mean(axis=1).min()
@@ -58,26 +66,12 @@ def test_study_has_row_per_pitch_and_sensor(done: tuple[StudyResult, Path]) -> N
 def test_study_command_writes_the_rows_of_python(
     done: tuple[StudyResult, Path], tmp_path: Path
 ) -> None:
-    (tmp_path / "tiny.toml").write_text(tiny_toml(**SETTINGS), encoding="utf-8")
-    out = tmp_path / "out"
-    code, message, err = command(f"study {tmp_path / 'tiny.toml'} --out {out} --jobs 1")
-    assert code == 0, err
-    assert optimum_line(done[0].curves[0]).partition("; ")[0] in message
-    assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
-    figures = {f"figures/{path.name}" for path in (out / "figures").iterdir()}
+    (tmp_path / "tiny.toml").write_text(tiny_toml(repeats=3, seed=1), encoding="utf-8")
+    _, message, err = command(f"study {tmp_path / 'tiny.toml'} --out {tmp_path / 'out'} --jobs 1")
+    assert optimum_line(done[0].curves[0]).partition("; ")[0] in message, err
+    assert (tmp_path / "out/results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
+    figures = {f"figures/{path.name}" for path in (tmp_path / "out/figures").iterdir()}
     assert figures <= report_files(done[0].study)
-
-
-def test_study_notes_reach_summary_and_result(tmp_path: Path) -> None:
-    """Once each, and from a resumed study too."""
-    over: dict[str, Any] = {"display": {"white_cd_per_m2": 40.0}, "pixel": {"bits": 8}}
-    (tmp_path / "tiny.toml").write_text(tiny_toml(**over), encoding="utf-8")
-    command(f"study {tmp_path / 'tiny.toml'} --out {tmp_path / 'out'} --jobs 1")
-    summary = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
-    with pytest.warns(UserWarning, match="brighter than display white"):
-        resumed = pixsim.study(tiny_study(**over), tmp_path / "out", jobs=1).as_dict()
-    for notes in (summary["notes"], resumed["notes"]):
-        assert [note["id"] for note in notes] == ["white_clipped", "interval", "black_level"]
 
 
 # 0: whole; 4: within the last number, which still reads as one (lines end in \r\n); 60: in an
@@ -110,40 +104,41 @@ NUMBERS = {
 
 def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     """Bit for bit: a technology of the same name has the same random streams."""
-    lines = ['name = "0.35um"']
-    for name, entry in read_toml(packaged("data/technologies")["0.35um"]).items():
-        if isinstance(entry, dict):
-            value = json.dumps(NUMBERS.get(name, entry["value"]))
-            lines += [f"[{name}]", f"value = {value}", 'confidence = "D"', 'source = "here"']
-    file = tmp_path / "own.toml"
-    file.write_text("\n".join(lines), encoding="utf-8")
+    entries = read_toml(packaged("data/technologies")["0.35um"])
+    stated = {
+        name: {"value": NUMBERS.get(name, entry["value"]), "confidence": "D", "source": "here"}
+        for name, entry in entries.items()
+        if isinstance(entry, dict)
+    }
+    lines = [
+        f"{name} = {toml_of(entry)}\n" for name, entry in ({"name": "0.35um"} | stated).items()
+    ]
+    (tmp_path / "own.toml").write_text("".join(lines), encoding="utf-8")
     settings = {"repeats": 2, "pitch": {"min_fill_factor": 0.1, "count": 5, "values_um": None}}
-    curves = [
+    by_file, by_study = (
         pixsim.study(tiny(**settings, **over), tmp_path / name, jobs=1).curves[0]
         for name, over in (
-            ("file", {"technologies": (str(file),)}),
+            ("file", {"technologies": (str(tmp_path / "own.toml"),)}),
             ("study", {"process": {"0.35um": NUMBERS}}),
         )
-    ]
-    assert curves[0].feature_size_um == curves[1].feature_size_um == 0.34
-    for name, values in curves[0].statistics.items():
-        np.testing.assert_array_equal(values, curves[1].statistics[name], err_msg=name)
+    )
+    assert by_file.feature_size_um == by_study.feature_size_um == 0.34
+    np.testing.assert_equal(by_file.statistics, by_study.statistics)
 
 
 # --- what a row depends on
 
 
 def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[Frame]) -> None:
-    chart = tmp_path / "chart.exr"
-    scene = {"parameters": {"chart": str(chart)}}
+    scene = {"parameters": {"chart": str(tmp_path / "chart.exr")}}
     study = tiny(repeats=2, pitch={"values_um": FIVE_UM}, scene=scene)
     counts = []
     for dark in (0.1, 0.1, 0.2):
-        pixsim.write_chart(chart, np.kron([[dark, 1.0]], np.ones((16, 8))).astype(np.float32))
+        cells = np.kron([[dark, 1.0]], np.ones((16, 8))).astype(np.float32)
+        pixsim.write_chart(tmp_path / "chart.exr", cells)
         pixsim.study(study, tmp_path / "out", jobs=1)
-        counts.append(len(evaluations))
-    assert counts == [10, 10, 20]
-    assert len(rows(tmp_path / "out")) == 10, "rows of the old texture are gone"
+        counts.append((len(evaluations), len(rows(tmp_path / "out"))))
+    assert counts == [(10, 10), (10, 10), (20, 10)], "rows of the old texture are gone"
 
 
 @pytest.mark.parametrize(
@@ -171,16 +166,17 @@ def test_study_row_depends_on_its_sensor_only(
     (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
     pixsim.study(tiny(**over), tmp_path, jobs=1)
     assert len(evaluations) == count - shared
-    assert len(rows(tmp_path)) == count
     pixsim.study(tiny(**over), tmp_path / "anew", jobs=1)
     assert rows(tmp_path / "anew") == rows(tmp_path)
+    assert len(rows(tmp_path)) == count
 
 
-FLICKER = {"frames": 4, "flicker_hz": 100.0, "flicker_depth": 0.9, "integration_s": 0.012}
-COLOUR = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 BURST = WHOLE_CHART | {
-    "exposure": FLICKER,
-    "pixel": {"colour": COLOUR, "full_well_e": 1500},
+    "exposure": {"frames": 4, "flicker_hz": 100.0, "flicker_depth": 0.9, "integration_s": 0.012},
+    "pixel": {
+        "colour": {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
+        "full_well_e": 1500,
+    },
     "technologies": ("4t-bsi",),
 }
 
@@ -198,23 +194,21 @@ def test_study_cached_frames_same_bytes(
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     pitch = {"values_um": [10.0, 12.0, 14.0, 17.0, 20.0]}
     study = tiny(repeats=2, pitch=pitch, resolution=128, **frames)
-    results = tmp_path / "out/results.csv"
 
-    def bytes_of_rows() -> bytes:
-        results.unlink(missing_ok=True)
-        pixsim.study(study, results.parent, jobs=1)
-        return results.read_bytes()
+    def bytes_of_rows(name: str) -> bytes:
+        pixsim.study(study, tmp_path / name, jobs=1)
+        return (tmp_path / name / "results.csv").read_bytes()
 
-    cold = bytes_of_rows()
-    assert all(0.3 < float(row["saturated_fraction"]) < 0.999 for row in rows(results.parent))
+    cold = bytes_of_rows("cold")
+    assert all(0.3 < float(row["saturated_fraction"]) < 0.999 for row in rows(tmp_path / "cold"))
     with monkeypatch.context() as patch:
         patch.setattr(evaluate_module, "chain_of", lambda *_: pytest.fail("light on the pixels"))
-        assert bytes_of_rows() == cold
+        assert bytes_of_rows("cached") == cold
     for path in (tmp_path / "cache/frames").iterdir():
         arrays = cache.arrays("frames", path.stem) or {}
         planes = {part: array for part, array in arrays.items() if array.ndim == 2}
         cache.store_arrays("frames", path.stem, planes)  # without the mean of its electrons
-    assert bytes_of_rows() == cold
+    assert bytes_of_rows("damaged") == cold
 
 
 KEY = ("study", 1, "0.35um", 6.5, 0, "frame")
@@ -254,26 +248,197 @@ def test_study_minimum_at_end_is_no_optimum(
     assert (optimum.inside, optimum.pitch_um) == (False, pytest.approx(end_um))
 
 
-APERTURES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]
-
-
 def test_study_marks_sizes_where_the_model_of_a_microlens_is_doubtful(tmp_path: Path) -> None:
     """Fresnel numbers n p²/(4 λ h), with the last band below the infrared cut: one warning, and
     marks of the lensed pixels alone.
     """
+    pitch_um = [6.0, 7.0, 9.0, 15.0, 20.0]
     axis = {"name": "aperture", "set": "pixel.stack.microlens", "values": ["none", "square"]}
     stack = {"height_um": 100.0, "index": 1.5, "shift": "optimal"}
     pixel = {"stack": stack, "infrared_cut_nm": 650.0}
-    study = tiny(repeats=2, pitch={"values_um": APERTURES_UM}, pixel=pixel, axis=[axis])
+    study = tiny(repeats=2, pitch={"values_um": pitch_um}, pixel=pixel, axis=[axis])
     with warnings.catch_warnings(record=True, action="always") as caught:
         result = pixsim.study(study, tmp_path, jobs=1)
     assert sum("Fresnel number of 0.2" in str(warning.message) for warning in caught) == 1
     bare, lensed = result.curves
     assert bare.fresnel_number is bare.doubtful_below_um is None
-    longest_nm = 1.5 * np.square(APERTURES_UM) / (4e-3 * 100.0 * lensed.fresnel_number)
+    longest_nm = 1.5 * np.square(pitch_um) / (4e-3 * 100.0 * lensed.fresnel_number)
     np.testing.assert_allclose(longest_nm, np.full(5, longest_nm[0]), rtol=1e-12)
     assert 630.0 < longest_nm[0] <= 655.0
     assert lensed.doubtful.tolist() == [True, True, True, False, False]
-    expected = (lensed.optimum.pitch_um / lensed.doubtful_below_um) ** 2
-    assert optima_columns(result)["fresnel_number"] == ["", pytest.approx(expected)]
+    best = (lensed.optimum.pitch_um / lensed.doubtful_below_um) ** 2
+    assert optima_columns(result)["fresnel_number"] == ["", pytest.approx(best)]
     assert "hollow points" in delta_e_against_pitch([lensed]).caption
+
+
+def table(**more: Any) -> Table:
+    """Two cases of two sensors of one size each, ΔE of 1 to 4."""
+    columns = {
+        "pitch_um": np.array([5.0, 5.0, 7.5, 7.5]), "repeat": np.array([0, 1, 0, 1], np.int32),
+        **{name: np.arange(1.0, 5.0) for name in COLUMNS[4:]},
+    }  # fmt: skip
+    labels = {"technology": "a", "light": 10.0}, {"technology": "b", "light": 20.0}
+    return Table(labels, np.array([0, 0, 1, 1], np.int32), columns, **more)
+
+
+def test_a_table_iterates_dicts_in_the_order_of_the_file() -> None:
+    rows = list(table())
+    names = ["technology", "pitch_um", "repeat", "light"]
+    assert [list(row) for row in rows] == [[*names, *COLUMNS[4:]]] * 4
+    assert rows[2] == table()[2] == table()[-2] == table()[1:3][1]
+    assert [rows[2][name] for name in names] == ["b", 7.5, 0, 20.0]
+    assert [type(rows[0][name]) for name in ("pitch_um", "repeat")] == [float, int]
+
+
+def test_an_impossible_point_is_a_row_with_its_reason() -> None:
+    with_reason = table(impossible={2: "its colours are alike"})
+    assert [row[REASON] for row in with_reason] == ["", "", "its colours are alike", ""]
+    assert with_reason.where(technology="b")[0][REASON] == "its colours are alike"
+    assert [(row["repeat"], REASON in row) for row in with_reason.possible] == [
+        (0, False),
+        (1, False),
+        (1, False),
+    ]
+
+
+def test_rows_are_chosen_by_labels_and_columns() -> None:
+    assert [row["mean_delta_e"] for row in table().where(technology="b", repeat=1)] == [4.0]
+    assert len(table().where(light=30.0)) == 0
+    assert [len(each) for each in table().by_case()] == [2, 2]
+
+
+def test_csv_and_dataframe_have_all_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    text = done[0].to_csv(tmp_path / "table.csv")
+    assert (tmp_path / "table.csv").read_bytes().decode() == text
+    delta_e = [float(row["mean_delta_e"]) for row in rows(tmp_path / "table.csv")]
+    np.testing.assert_array_equal(delta_e, done[0].curves[0].delta_e.ravel())
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_csv(io.StringIO(table().to_csv(tmp_path / "small.csv")))
+    pandas.testing.assert_frame_equal(frame, table().to_dataframe(), check_dtype=False)
+
+
+def test_a_row_takes_little_memory() -> None:
+    """A million rows take a sixth of a GiB: eleven numbers of 8 bytes, a key of 16 characters, and
+    its place.
+    """
+    store = Store(None)
+    tracemalloc.start()
+    for number in range(5000):
+        store.add([(f"{number:016x}", "0.35um", 5.0, 0, *[number / 7] * len(store.numbers))])
+    row_bytes = tracemalloc.get_traced_memory()[0] / 5000
+    tracemalloc.stop()
+    assert 8 * len(store.numbers) < row_bytes < 300
+    np.testing.assert_array_equal(store.values_of([f"{3:016x}", "other"])[:, 0], [3 / 7, np.nan])
+
+
+def test_a_row_with_any_changed_byte_is_computed_again_with_a_note(tmp_path: Path) -> None:
+    """A CRC-32 tells any change of up to 32 neighbouring bits; a row without its check, or below
+    other names of columns, is not believed.
+    """
+    results = Store(tmp_path / "results.csv")
+    results.write([["1"] * len(results.columns)])
+    head, line = results.path.read_bytes().splitlines(keepends=True)
+    damaged = [
+        head + line[:place] + bytes([byte ^ 4]) + line[place + 1 :]
+        for place, byte in enumerate(line.rstrip())
+    ]
+    damaged.append(head + line[: line.rindex(b",")] + b"\r\n")
+    damaged.append(head.replace(b"full_well_e,integration_s", b"integration_s,full_well_e") + line)
+    for content in damaged:
+        results.path.write_bytes(content)
+        with pytest.warns(UserWarning, match=r"1 row .* kept as 'results.csv.old"):
+            assert Store(results.path).resume(lambda _: True) == []
+        assert results.path.read_bytes() == head
+
+
+# --- results of release 1.0.0: read, or named with what becomes of them (docs/migration.md)
+
+DATA = Path(__file__).parents[1] / "data" / "release_1_0_0"
+
+
+@pytest.fixture
+def old_study(tmp_path: Path) -> Path:
+    """A copy of the folder of a study."""
+    return Path(shutil.copytree(DATA / "study", tmp_path / "study"))
+
+
+@pytest.mark.parametrize(
+    ("version", "message"),
+    [
+        ("1.0.0", r"rows of .*results.csv. are of pixsim 1.0.0. The file is kept as .results"),
+        # An interrupted study has no list yet.
+        ("", r"are of other settings, or of another version of pixsim\. The file is kept as"),
+        (pixsim.__version__, ""),
+    ],
+)
+def test_rows_are_kept_apart_and_their_release_named(
+    version: str, message: str, old_study: Path
+) -> None:
+    """The list of a folder's files has the version that wrote them."""
+    list_path = old_study / "provenance.json"
+    text = list_path.read_text(encoding="utf-8")
+    list_path.write_text(text.replace('"pixsim": "1.0.0"', f'"pixsim": "{version}"'))
+    if not version:
+        list_path.unlink()
+    before = (old_study / "results.csv").read_bytes()
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        assert not Store(old_study / "results.csv").resume(lambda _: False)
+    assert len(caught) == bool(message)
+    assert re.search(message, "".join(str(warning.message) for warning in caught))
+    assert (old_study / "results.csv.old").read_bytes() == before
+    assert rows(old_study) == []
+
+
+def test_settings_of_a_study_are_those_of_its_rows(old_study: Path) -> None:
+    """Rates of electrons are the same; a repeat now has a place of its own on the die, which moves
+    its mean a little.
+    """
+    before = rows(old_study)
+    with pytest.warns(UserWarning, match=r"pixsim 1\.0\.0"):
+        pixsim.study(old_study / "settings.toml", old_study, jobs=1)
+    now = rows(old_study)
+    assert before[0].keys() <= now[0].keys()
+    for name in ("pitch_um", "repeat", "fill_factor", "full_well_e"):
+        assert [row[name] for row in now] == [row[name] for row in before]
+    # At most one of 90 pixels a side comes in for another, on light that differs by some tenths:
+    # below 1e-3 of the mean.
+    electrons_e = ([float(row["mean_electrons_e"]) for row in each] for each in (now, before))
+    np.testing.assert_allclose(*electrons_e, rtol=1e-3)
+
+
+def test_every_entry_of_a_run_is_still_there() -> None:
+    """Entries may be added within a schema (docs/reference/files.md), those of docs/migration.md
+    are gone.
+    """
+    stated = json.loads((DATA / "run/score.json").read_bytes())
+    result = pixsim.run("csf", config=DATA / "run/settings.toml")
+    gone = {".pixel.dynamic_range_db", ".pixel.snr_max_db"}
+    assert entries(stated) - gone <= entries(json.loads(json_text(run_document(result).data)))
+
+
+def entries(content: object, above: str = "") -> set[str]:
+    """Dotted names of all entries of JSON; those of a list together."""
+    match content:
+        case dict():
+            return {
+                name
+                for key, value in content.items()
+                for name in {f"{above}.{key}", *entries(value, f"{above}.{key}")}
+            }
+        case list() | tuple():
+            return {name for value in content for name in entries(value, f"{above}[]")}
+    return set()
+
+
+def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
+    """Light, sensor, noise and S-CIELAB of one frame are those of 1.0.0: only renders, films and
+    registrations have changed.
+    """
+    light = pixsim.read_irradiance(DATA / "run/irradiance.exr")
+    stated = json.loads((DATA / "run/score.json").read_bytes())
+    assert (stated["schema"], SCHEMA) == (1, 2)
+    camera = pixsim.Camera.model_validate(light.header["camera"])
+    settings = run_settings([DATA / "run/settings.toml"], {})
+    score = pixsim.evaluate(light, camera, settings.pixel, settings.exposure, settings.display)
+    assert score.mean_delta_e == pytest.approx(stated["mean_delta_e"], rel=1e-9)
+    np.testing.assert_array_equal(pixsim.read_frame(DATA / "run/raw.exr").dn, score.frame.dn)
