@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -253,6 +254,38 @@ def test_cluster_that_loses_its_workers_is_given_up(monkeypatch: pytest.MonkeyPa
         lost.scale(0)
         with pytest.raises(pixsim.PixsimError, match="no worker within"):
             list(results)
+
+
+# as in docs/safety.md
+CERTIFY = "req -x509 -newkey rsa:2048 -nodes -days 1 -subj /CN=pixsim -keyout key.pem -out cert.pem"
+
+
+@pytest.mark.skipif(
+    shutil.which("openssl") is None, reason="no openssl, which makes the certificate"
+)
+def test_a_cluster_that_is_known_by_a_certificate_talks_by_tls_alone(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    dask = pytest.importorskip("dask")
+    subprocess.run(["openssl", *CERTIFY.split()], cwd=tmp_path, check=True, capture_output=True)
+    settings = {"require-encryption": True, "tls.ca-file": str(tmp_path / "cert.pem")}
+    for end in ("client", "scheduler", "worker"):
+        settings |= {f"tls.{end}.{name}": str(tmp_path / f"{name}.pem") for name in ("cert", "key")}
+    with (
+        dask.config.set({f"distributed.comm.{name}": value for name, value in settings.items()}),
+        distributed.LocalCluster(
+            n_workers=1,
+            processes=False,
+            dashboard_address=None,
+            host="tls://127.0.0.1",
+            security=distributed.Security(),
+        ) as running,
+    ):
+        calls = [(task, partial(dict, values=np.ones(1))) for task in (1, 2, 3)]
+        with workers_for(scheduler=running.scheduler_address) as workers:
+            assert sorted(results_of(double, calls, workers)) == [(1, 1.0), (2, 2.0), (3, 3.0)]
+        plain = running.scheduler_address.replace("tls", "tcp")
+        with pytest.raises(pixsim.PixsimError, match="--scheduler"), workers_for(scheduler=plain):
+            pass
 
 
 def test_a_lost_scheduler_is_named() -> None:
