@@ -709,8 +709,7 @@ def test_rise_variance_matches_covariance() -> None:
     The logarithm of a steep curve has the same noise at all pitches: its covariance is that of the
     fit itself.
     """
-    mean = 0.5 * np.exp(6 * np.log(NINE_UM / 8) ** 2)
-    fit = fit_curve(NINE_UM, sensors_of(mean, 2, 0.01, 2))
+    fit = fit_curve(NINE_UM, sensors_of(0.5 * np.exp(6 * np.log(NINE_UM / 8) ** 2), 2, 0.01, 2))
     low_um, high_um = fit.optimum.interval_um
     ends = fit.places_of(np.array([low_um, fit.optimum.pitch_um, high_um]))
     covariance = fit.likeliest.covariance(ends)

@@ -109,8 +109,12 @@ def test_content_of_a_function_is_its_code_and_what_it_refers_to(
 
 def test_runs_and_comparisons_take_functions_too() -> None:
     """The quieter sensor has the smaller error."""
-    small: dict[str, Any] = {"display": {"dots": 32}, "resolution": 48}
-    small |= {"pixel": {"pitch_um": 60.0}, "metrics": ["delta_e", rms_error]}
+    small: dict[str, Any] = {
+        "display": {"dots": 32},
+        "resolution": 48,
+        "pixel": {"pitch_um": 60.0},
+        "metrics": ["delta_e", rms_error],
+    }
     score = run("csf", **small).score
     assert score.metrics["rms_error"] == rms_error(score)
     pair = compare(["0.35um", "4t-bsi"], repeats=2, jobs=1, camera={"die_mm": 2.7}, **small)

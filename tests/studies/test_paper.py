@@ -107,9 +107,11 @@ def lit(
     )
 
 
-def daylight(longest_nm: float = 800.0) -> MapStudy:
-    nm = np.arange(400.0, longest_nm + 1, 5.0)
-    return lit(nm, 5.0, 1e-3 * d65(nm))
+DAYLIGHT_NM = np.arange(400.0, 801.0, 5.0)
+
+
+def daylight() -> MapStudy:
+    return lit(DAYLIGHT_NM, 5.0, 1e-3 * d65(DAYLIGHT_NM))
 
 
 SLOW = Camera(f_number=4.0)
@@ -143,12 +145,12 @@ def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
 
 def sensitivity(response: str = "literal", cut_nm: float | None = None, **form: Any) -> float:
     """Electrons per lx·s and µm² of daylight, or of another form of it."""
-    result = daylight()
-    if form:
-        image = SpectralImage(result.irradiance.wavelength_nm, 5.0, 5.3, **form)
-        result = replace(result, light=replace(result.light, image=image))
-    physics = derive(Pixel(response=response, infrared_cut_nm=cut_nm))
-    return sensitivity_e_per_lx_s_um2(result, physics)
+    light = form or {"factors": (SPECTRA, PICTURES)}
+    image = SpectralImage(DAYLIGHT_NM, 5.0, 5.3, **light)
+    result = replace(daylight(), light=Light(image, Camera()))
+    return sensitivity_e_per_lx_s_um2(
+        result, derive(Pixel(response=response, infrared_cut_nm=cut_nm))
+    )
 
 
 def mtf_of_detail(

@@ -35,10 +35,6 @@ SMALL: dict[str, Any] = {
     "seed": 3,
     "variant": "scalar_spectral",
 }
-LINE = (
-    "run csf --variant scalar_spectral --pixel.pitch-um 21.2 --resolution 64 --display.dots 64"
-    " --seed 3 --repeats 3 --frames 2"
-)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +43,10 @@ def result() -> RunResult:
 
 
 def test_run_writes_what_the_command_writes(result: RunResult, tmp_path: Path) -> None:
-    _, out, err = command(f"{LINE} --json --out {tmp_path / 'command'}")
+    _, out, err = command(
+        "run csf --variant scalar_spectral --pixel.pitch-um 21.2 --resolution 64 --display.dots 64"
+        f" --seed 3 --repeats 3 --frames 2 --json --out {tmp_path / 'command'}"
+    )
     assert json.loads(out) == json.loads(json.dumps(result.as_dict() | {"schema": SCHEMA})), err
     with command_line():  # its page names settings as options
         result.write(tmp_path / "python")
@@ -68,16 +67,18 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
     """
     table = "[pixel]\npitch_um = 42.4\nbits = 8\n[exposure]\nintegration_s = 1e-3\n"
     (tmp_path / "sensor.toml").write_text(table, encoding="utf-8")
-    settings: dict[str, Any] = {"config": tmp_path / "sensor.toml", "pixel": {"bits": 12}}
-    display = {"dots": 32, "white_cd_per_m2": 2000.0}
+    settings: dict[str, Any] = {
+        "config": tmp_path / "sensor.toml",
+        "pixel": {"bits": 12},
+        "display": {"dots": 32, "white_cd_per_m2": 2000.0},
+    }
     frames = []
     for level in (1e-3, 5e-4):
         data = np.full((64, 64, 3), level)
         light = pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 42.4, data=data)
         pixsim.write_npz(tmp_path / "light.npz", light)
         with pytest.warns(UserWarning, match="bands of up to 100 nm"):
-            run = pixsim.run(tmp_path / "light.npz", display=display, **settings)
-        frames.append(run.score.frame)
+            frames.append(pixsim.run(tmp_path / "light.npz", **settings).score.frame)
     assert frames[1].mean_e.mean() == pytest.approx(frames[0].mean_e.mean() / 2, rel=1e-6)
     assert (frames[0].bits, frames[0].pitch_um) == (12, 42.4)
 

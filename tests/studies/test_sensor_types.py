@@ -395,9 +395,9 @@ def test_results_repeat_bit_for_bit_and_are_written() -> None:
     assert not set(texts[1].splitlines()[1:]) & set(texts[2].splitlines()[1:])
     summary = json.loads(json.dumps(results[0].as_dict(), allow_nan=False))
     assert (summary["draws"], summary["asked"], summary["seed"]) == (64, 60, 7)
-    share = results[0].shares["optimum_um"]["full_well_e"]["first"].share
-    written_share = summary["shares"]["optimum_um"]["full_well_e"]["first"]["share"]
-    assert written_share == pytest.approx(share, abs=5e-5)
+    share = summary["shares"]["optimum_um"]["full_well_e"]["first"]["share"]
+    expected = results[0].shares["optimum_um"]["full_well_e"]["first"].share
+    assert share == pytest.approx(expected, abs=5e-5)
     table = list(csv.DictReader(io.StringIO(texts[0])))
     for name, values in (results[0].table | results[0].holds).items():
         cells = ["" if value != value else str(value) for value in values.tolist()]

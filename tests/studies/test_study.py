@@ -365,9 +365,9 @@ def old_study(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("version", "message"),
     [
-        ("1.0.0", r"rows of .*results.csv. are of pixsim 1.0.0. The file is kept as .results"),
+        ("1.0.0", r"results\.csv.*pixsim 1\.0\.0"),
         # An interrupted study has no list yet.
-        ("", r"are of other settings, or of another version of pixsim\. The file is kept as"),
+        ("", "other settings"),
         (pixsim.__version__, ""),
     ],
 )

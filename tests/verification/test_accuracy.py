@@ -56,9 +56,10 @@ def test_ladder_of_a_chart_climbs_to_the_film_of_a_run(
     width = pixsim.run("csf", **small).irradiance.shape[1]
     assert [rung.across for rung in accuracy.rungs] == [width // times for times in (4, 2, 1)]
     assert accuracy.reference.across >= 2 * width
-    errors = np.array([rung.error_delta_e for rung in accuracy.rungs])
+    stated, errors = np.transpose(
+        [(rung.stated_delta_e, rung.error_delta_e) for rung in accuracy.rungs]
+    )
     assert accuracy.reference.stated_delta_e < errors.min() / 3
-    stated = np.array([rung.stated_delta_e for rung in accuracy.rungs])
     assert (stated / errors)[1:].min() > 1, "the first film is too coarse to tell"
     assert math.isnan(stated[0])
     assert "by &lt;hand&gt;" in accuracy.write(tmp_path).read_text(encoding="utf-8")
