@@ -255,14 +255,15 @@ def test_class_docstring_describes_fields(name: str) -> None:
     class that has the field.
     """
     kind = CLASSES[name]
-    bases = [
-        base for base in kind.__mro__ if base.__module__.startswith("pixsim")
-    ]  # a base describes its own fields
-    text = "\n".join(inspect.cleandoc(vars(base).get("__doc__") or "") for base in bases)
-    assert vars(kind).get("__doc__")
-    assert not text.startswith(f"{kind.__name__}("), "the default of @dataclass"
-    heirs = [base for base in kind.__mro__ if is_dataclass(base)]
-    text = "\n".join(inspect.cleandoc(vars(base).get("__doc__") or "") for base in heirs) or text
+    docs = {
+        base: inspect.cleandoc(vars(base).get("__doc__") or "")
+        for base in kind.__mro__
+        if base.__module__.startswith("pixsim")
+    }
+    assert docs[kind]
+    assert not docs[kind].startswith(f"{kind.__name__}("), "the default of @dataclass"
+    heirs = [text for base, text in docs.items() if is_dataclass(base)]
+    text = "\n".join(heirs or docs.values())
     for field, about in fields(kind).items():
         description = about.description if issubclass(kind, Record) else description_of(field, text)
         assert description, f"{field} has no description"
@@ -305,22 +306,18 @@ SHOWN = (
 )
 
 
-def examples() -> Iterator[doctest.DocTest]:
-    finder = doctest.DocTestFinder(exclude_empty=True, recurse=False)
-    for name, thing in PUBLIC.items():
-        plain = function_of(thing) or thing
-        scope = vars(importlib.import_module(plain.__module__))
-        yield from (test for test in finder.find(plain, name, globs=dict(scope)) if test.examples)
-
-
 @pytest.mark.slow
 def test_docstring_examples_pass() -> None:
     """Their numbers are published values or closed forms."""
+    finder = doctest.DocTestFinder(exclude_empty=True, recurse=False)
     runner = doctest.DocTestRunner()
     report: list[str] = []
     names = set()
-    for example in examples():
-        names.add(example.name)
-        runner.run(example, out=report.append)
+    for name, thing in PUBLIC.items():
+        plain = function_of(thing) or thing
+        scope = vars(importlib.import_module(plain.__module__))
+        for example in finder.find(plain, name, globs=dict(scope)):
+            names |= {name} if example.examples else set()
+            runner.run(example, out=report.append)
     assert runner.failures == 0, "".join(report)
     assert {f"pixsim.{name}" for name in SHOWN} <= names

@@ -96,18 +96,14 @@ def answered() -> tuple[Session, list[dict[str, Any]]]:
     return session, answers(session, PageRequest(1, ((0, CONTROLLED_FIELDS),)))
 
 
-def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
+def test_first_picture_is_that_of_a_run_bit_for_bit(answered):
+    """Its number is that of one sensor. Where the film is fine enough, it is the last one, too."""
     first, last, done = (message for message in answered[1] if "busy" not in message)
     assert (first["sure"], last["sure"], done) == (False, True, {"number": 1, "done": True})
-    assert "pictures" in first
     assert "pictures" not in last, "it was computed again, and is the same"
     assert first["unsure"] == "errors not measured yet"
     assert "± " in last["lines"][0]
 
-
-def test_first_picture_is_that_of_a_run_bit_for_bit(answered):
-    """Its number is that of one sensor."""
-    first = with_pictures(answered[1])
     settings = {
         "pixel": {"pitch_um": 40.0},
         "camera": {"f_number": 5.6},
@@ -306,9 +302,9 @@ def page_of(session: Session) -> Iterator[Any]:
             thread.join(HANG_S)
 
 
-def connect_to(port: int, host: str) -> http.client.HTTPConnection:
+def connect_to(port: int, host: str, path: str = "/") -> http.client.HTTPConnection:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=HANG_S)
-    connection.request("GET", "/", headers={"Host": f"{host}:{port}"})
+    connection.request("GET", path, headers={"Host": f"{host}:{port}"})
     return connection
 
 
@@ -344,23 +340,24 @@ def test_file_that_leads_to_the_page_is_private(page):
 
 
 @pytest.mark.parametrize(
-    ("host", "status"), [("127.0.0.1", 200), ("localhost", 200), ("pixsim.example", 403)]
+    ("path", "host", "status"),
+    [
+        ("/", "127.0.0.1", 200),
+        ("/", "localhost", 200),
+        ("/", "pixsim.example", 403),
+        ("/../pyproject.toml", "127.0.0.1", 404),
+        ("/etc/passwd", "127.0.0.1", 404),
+        ("/settings.toml", "127.0.0.1", 404),
+    ],
 )
-def test_page_is_served_under_its_own_names_only(host, status, page):
+def test_nothing_but_the_page_is_served_and_under_its_own_names(path, host, status, page):
     """Another name that leads to 127.0.0.1 is how a foreign site would read the page."""
-    answer = connect_to(page.port, host).getresponse()
+    answer = connect_to(page.port, host, path).getresponse()
     assert answer.status == status
     if status == 200:
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
         assert answer.headers["Set-Cookie"] is None
         assert page.token not in answer.read().decode()
-
-
-@pytest.mark.parametrize("path", ["/../pyproject.toml", "/etc/passwd", "/settings.toml"])
-def test_nothing_but_the_page_is_served(path, page):
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=HANG_S)
-    connection.request("GET", path)
-    assert connection.getresponse().status == 404
 
 
 @pytest.mark.parametrize(

@@ -195,15 +195,15 @@ def grating(order: int, samples: int = 16) -> Array:
     return 0.5 + wave[:, None] * np.array([0.3, 0.1, -0.2])
 
 
-def blurred_grating_lab(samples_per_deg: float, order: int, samples: int = 16) -> Array:
+def blurred_grating_lab(samples_per_deg: float, order: int) -> Array:
     """CIELAB of `grating`: Σ w exp(-π² s² f²)/Σ w of each opponent channel."""
-    frequency_cy_per_deg = order / (2 * samples) * samples_per_deg
-    gains = []
-    for channel in GAUSSIANS:
-        weight, spread_deg = np.transpose(channel)
-        gains.append(
-            np.average(np.exp(-((np.pi * spread_deg * frequency_cy_per_deg) ** 2)), weights=weight)
+    frequency_cy_per_deg = order / (2 * 16) * samples_per_deg  # half cycles over 16 samples
+    gains = [
+        np.average(
+            np.exp(-((np.pi * np.array(spreads_deg) * frequency_cy_per_deg) ** 2)), weights=weights
         )
-    modulation = (grating(order, samples) - 0.5) * WHITE
+        for weights, spreads_deg in map(np.transpose, GAUSSIANS)
+    ]
+    modulation = (grating(order) - 0.5) * WHITE
     filtered = np.linalg.inv(OPPONENT) @ np.diag(gains) @ OPPONENT
     return lab_of(0.5 + modulation @ filtered.T / WHITE)
