@@ -36,15 +36,23 @@ def is_type_checking(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
-def imports(tree: ast.AST, modules: Mapping[str, Path], at_top_only: bool = False) -> Iterator[str]:
+def imports(
+    tree: ast.AST,
+    modules: Mapping[str, Path],
+    at_top_only: bool = False,
+    type_checking: bool = False,
+) -> Iterator[str]:
     """Dotted names that a module imports at run time.
 
     modules : of the package
+    type_checking : whether imports for the type checker count, too
     """
     for node in ast.iter_child_nodes(tree):
-        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        # Expressions are two thirds of the nodes, without a statement in them.
-        if isinstance(node, ast.expr) or is_type_checking(node) or (at_top_only and is_function):
+        if isinstance(node, ast.expr):  # two thirds of the nodes, without a statement in them
+            continue
+        if is_type_checking(node) and not type_checking:
+            continue
+        if at_top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -56,18 +64,21 @@ def imports(tree: ast.AST, modules: Mapping[str, Path], at_top_only: bool = Fals
                 name.partition(".")[2] not in modules for name in names
             ):  # not for a package's files
                 yield str(node.module)
-        yield from imports(node, modules, at_top_only)
+        yield from imports(node, modules, at_top_only, type_checking)
 
 
-def arrows_of(package: Path = PACKAGE) -> dict[str, set[str]]:
-    """Module -> modules of the package that it imports at run time, also inside functions."""
+def arrows_of(package: Path = PACKAGE, type_checking: bool = False) -> dict[str, set[str]]:
+    """Module -> modules of the package that it imports at run time, also inside functions.
+
+    type_checking : whether imports for the type checker count, too
+    """
     files = files_of(package)
     start = f"{package.name}."
     graph: dict[str, set[str]] = {}
     for module, path in files.items():
         names = {
             name.removeprefix(start)
-            for name in imports(tree(path), files)
+            for name in imports(tree(path), files, type_checking=type_checking)
             if name.startswith(start)
         }
         graph[module] = {name for name in names if name in files and name != module}
