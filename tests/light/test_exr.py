@@ -13,10 +13,8 @@ import OpenEXR
 import pytest
 from helpers.claims import check
 
-from pixsim import PixsimError, read_exr, read_irradiance, write_exr
+from pixsim import PixsimError, SpectralImage, read_exr, read_irradiance, write_exr
 from pixsim.light import exr, spectral
-from pixsim.light.exr import _merged, read_channels, read_header, reduced_to_fit, write_channels
-from pixsim.light.spectral import VISIBLE, SpectralImage
 from pixsim.scene.bands import band_edges_nm
 
 BANDS_NM = np.arange(370.0, 821.0, 10.0)
@@ -49,7 +47,7 @@ def factored(shape: tuple[int, int] = (5, 7), **options: object) -> SpectralImag
 def fine_bands(seed: int = 0) -> SpectralImage:
     """Return 10 nm bands that are randomly halved up to three times, with light within them."""
     rng = np.random.default_rng(seed)
-    edges = band_edges_nm(VISIBLE)
+    edges = band_edges_nm(spectral.VISIBLE)
     for _ in range(3):
         halved = np.flatnonzero(rng.random(edges.size - 1) < rng.uniform(0.1, 0.6))
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
@@ -74,7 +72,7 @@ IMAGES = {
     "strides": lambda: SpectralImage(
         BANDS_NM, 10.0, 1.0, data=any_float32((12, 14, 92))[::-2, ::2, 1::2]
     ),
-    "reduced": lambda: reduced_to_fit(factored((4, 2048))),
+    "reduced": lambda: exr.reduced_to_fit(factored((4, 2048))),
     "two lines": lambda: SpectralImage([632.8, 1064.25], 0.1, 1.0, data=np.ones((1, 1, 2))),
 }
 
@@ -90,17 +88,16 @@ def test_image_reads_back_bit_for_bit(name: str, are_factors_only: bool, tmp_pat
     if image.factors:
         assert np.array_equal(back.factors[0], image.factors[0])  # float64
         assert np.array_equal(bits(back.factors[1]), bits(image.factors[1]))
-    for field in ("wavelength_nm", "band_width_nm", "within"):
+    for field in ("wavelength_nm", "band_width_nm", "within", "pitch_um", "header", "margin"):
         assert np.array_equal(getattr(back, field), getattr(image, field)), field
-    assert (back.pitch_um, back.header, back.margin) == (image.pitch_um, image.header, image.margin)
 
 
 def test_channels_of_fine_bands_have_the_energy_of_all(tmp_path: Path) -> None:
     """At most one channel for each of 48 bands of 10 nm, beside the factors."""
     image = fine_bands(2)
     write_exr(tmp_path / "image.exr", image)
-    channels, _ = read_channels(tmp_path / "image.exr")
-    merged = _merged(image)
+    channels, _ = exr.read_channels(tmp_path / "image.exr")
+    merged = exr._merged(image)
     planes = [channels[exr._band_channel(nm)].astype(float) for nm in merged.wavelength_nm]
     assert len(channels) == len(planes) + 8 <= 48 + 8
     assert merged.band_width_nm.max() <= 10
@@ -139,19 +136,18 @@ def test_too_many_band_bytes_become_illuminance(tmp_path: Path, monkeypatch) -> 
     image = factored()
     monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7)
     write_exr(tmp_path / "bands.exr", image)
-    assert len(read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
+    assert len(exr.read_header(tmp_path / "bands.exr")["channels"]) == 46 + 2
     monkeypatch.setattr(exr, "MAX_BAND_BYTES", 4 * 46 * 5 * 7 - 1)
     write_exr(tmp_path / "image.exr", image)
-    channels, header = read_channels(tmp_path / "image.exr")
-    assert sorted(channels) == ["Y", "factor.0", "factor.1"]
-    assert header["illuminanceUnits"] == "lx"
+    channels, header = exr.read_channels(tmp_path / "image.exr")
+    assert (sorted(channels), header["illuminanceUnits"]) == (["Y", "factor.0", "factor.1"], "lx")
     assert np.array_equal(channels["Y"], image.illuminance_lx().astype(np.float32))
     assert np.array_equal(bits(read_exr(tmp_path / "image.exr").data), bits(image.data))
 
 
 def test_reduced_light_is_noted_when_read(tmp_path: Path) -> None:
     image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((2, 2048, 1)))
-    write_exr(tmp_path / "image.exr", reduced_to_fit(image))
+    write_exr(tmp_path / "image.exr", exr.reduced_to_fit(image))
     with pytest.warns(UserWarning, match="means over 2 × 2 samples of the render"):
         assert read_irradiance(tmp_path / "image.exr").pitch_um == 4.0
 
@@ -185,7 +181,7 @@ FOREIGN = {
 
 @pytest.mark.parametrize("name", FOREIGN)
 def test_foreign_and_damaged_headers_are_refused(name: str, tmp_path: Path) -> None:
-    write_channels(tmp_path / "image.exr", {"S0.550,000000nm": np.ones((2, 2))}, FOREIGN[name])
+    exr.write_channels(tmp_path / "image.exr", {"S0.550,000000nm": np.ones((2, 2))}, FOREIGN[name])
     with pytest.raises(PixsimError, match=r"irradiance file: got '.*image\.exr'"):
         read_exr(tmp_path / "image.exr")
 

@@ -20,19 +20,8 @@ import scipy.constants as si
 from helpers.claims import Claim, check
 from hypothesis import given, settings, strategies as st
 
-from pixsim import PixsimError
+from pixsim import PixsimError, SpectralImage
 from pixsim.light import exr, spectral
-from pixsim.light.exr import _merged, reduced_to_fit, shortest
-from pixsim.light.spectral import (
-    OUTLIERS,
-    SpectralImage,
-    Spectrum,
-    colour_matching,
-    d65,
-    find_outliers,
-    photopic_efficiency,
-    without_outliers,
-)
 from pixsim.light.standard import (
     OPPONENT_FROM_XYZ,
     XYZ_FROM_OPPONENT,
@@ -48,8 +37,8 @@ OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 TENTHS = np.linspace(400.0, 401.0, 11)
 
 
-def spectrum(nodes: list[float], values: list[float]) -> Spectrum:
-    return Spectrum(np.array(nodes, float), np.array(values, float))
+def spectrum(nodes: list[float], values: list[float]) -> spectral.Spectrum:
+    return spectral.Spectrum(np.array(nodes, float), np.array(values, float))
 
 
 TRIANGLE = spectrum([400, 410, 430], [0, 2, 0])
@@ -64,8 +53,7 @@ def one_band(nm: float, width_nm: float, value: float, within_nm: float | None =
 def two_bands() -> SpectralImage:
     """Return bands with lines at 546 and 553 nm (1:3), and 596, 600 and 604 nm (1:2:1)."""
     nodes_nm = [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]]
-    shares = [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
-    within = nodes_nm, shares
+    within = nodes_nm, [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
     return SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)), within=within)
 
 
@@ -82,7 +70,7 @@ def lamp_lx(name: str) -> tuple[float, float]:
 def merged_bands() -> SpectralImage:
     width_nm = np.array([5, 5, 2.5, 2.5, 1.25, 1.25, 2.5, 10, 15, 5, 5])
     factors = np.arange(11.0), np.ones((1, 1, 1))
-    return _merged(
+    return exr._merged(
         SpectralImage(np.cumsum(width_nm) - width_nm / 2, width_nm, 1.0, factors=factors)
     )
 
@@ -125,7 +113,7 @@ CLAIMS = [
     Claim(
         "weights of bands",
         lambda: spectral.luminous_weight([550.0, 600.0], [10.0, 5.0]),
-        683.002 * photopic_efficiency([550.0, 600.0]) * [10.0, 5.0],
+        683.002 * spectral.photopic_efficiency([550.0, 600.0]) * [10.0, 5.0],
         rtol=1e-14,
     ),
     Claim(
@@ -147,24 +135,30 @@ CLAIMS = [
     ),
     Claim(
         "observer of colour-science",
-        lambda: colour_matching(OBSERVER.wavelengths),
+        lambda: spectral.colour_matching(OBSERVER.wavelengths),
         OBSERVER.values,
         rtol=1e-9,
         atol=1e-20,
         why="ten digits",
     ),
     Claim(
-        "efficiency is the observer's y", lambda: photopic_efficiency(NM), colour_matching(NM)[:, 1]
+        "efficiency is the observer's y",
+        lambda: spectral.photopic_efficiency(NM),
+        spectral.colour_matching(NM)[:, 1],
     ),
-    Claim("no light beyond the tables", lambda: colour_matching([359.0, 831.0]), np.zeros((2, 3))),
+    Claim(
+        "no light beyond the tables",
+        lambda: spectral.colour_matching([359.0, 831.0]),
+        np.zeros((2, 3)),
+    ),
     Claim(
         "opponents of X = Y = Z by the published matrix",
         lambda: OPPONENT_FROM_XYZ @ np.ones(3),
         [0.8939847, -0.0818111, -0.0029257],
         atol=1e-9,
     ),
-    Claim("D65 is 100 at 560 nm", lambda: d65([359.0, 560.0, 831.0]), [0, 100, 0]),
-    Claim("illuminant D65 is d65", lambda: illuminant("D65", NM), d65(NM)),
+    Claim("D65 is 100 at 560 nm", lambda: spectral.d65([359.0, 560.0, 831.0]), [0, 100, 0]),
+    Claim("illuminant D65 is d65", lambda: illuminant("D65", NM), spectral.d65(NM)),
     *(
         Claim(
             f"{name} of colour-science",
@@ -206,7 +200,7 @@ CLAIMS = [
     *(
         Claim(f"step for nodes {spacing_nm:g} nm apart", lambda nodes=nodes: nodes.step_nm, step_nm)
         for spacing_nm, step_nm in ((1.0, 1.0), (0.2, 1 / 8), (0.1, 1 / 32))
-        for nodes in [Spectrum(400.0 + spacing_nm * np.arange(3), np.ones(3))]
+        for nodes in [spectral.Spectrum(400.0 + spacing_nm * np.arange(3), np.ones(3))]
     ),
     Claim(
         "nodes of unequal steps in equal ones",
@@ -216,7 +210,7 @@ CLAIMS = [
     ),
     Claim(
         "equal steps of 0.1 nm",
-        lambda: spectral.regular_values(Spectrum(TENTHS, TENTHS - 400)),
+        lambda: spectral.regular_values(spectral.Spectrum(TENTHS, TENTHS - 400)),
         TENTHS - 400,
         atol=1e-12,
     ),
@@ -247,7 +241,7 @@ CLAIMS = [
         np.array([0.1, 0.2]) * si.h * si.c / (si.e * np.array([400e-9, 500e-9])),
         rtol=1e-12,
     ),
-    Claim("shortest digits of a float32", lambda: shortest(float(np.float32(5.3))), 5.3),
+    Claim("shortest digits of a float32", lambda: exr.shortest(float(np.float32(5.3))), 5.3),
 ]
 
 
@@ -356,10 +350,9 @@ def test_reduced_to_fit_holds_limits(shape, bands, columns, monkeypatch) -> None
     if bands == 250:
         monkeypatch.setattr(exr, "_MAX_REDUCED_BYTES", 60_000)
     image = ramps(shape, bands)
-    reduced = reduced_to_fit(image)
+    reduced = exr.reduced_to_fit(image)
     rows = reduced.shape[0]
-    assert reduced.shape[1] == columns
-    assert (reduced is image) == (columns == shape[1])
+    assert (reduced.shape[1], reduced is image) == (columns, columns == shape[1])
     assert 0.99 * shape[0] <= rows * shape[1] / columns <= shape[0] * (1 + 1e-9)
 
 
@@ -376,18 +369,23 @@ def test_outliers_stand_alone_and_become_medians(samples, outliers) -> None:
     picture = np.ones((150, 150))
     for place, value in samples.items():
         picture[place] = value
-    assert find_outliers(picture) == outliers
-    header = {OUTLIERS: [list(place) for place in outliers]}
+    assert spectral.find_outliers(picture) == outliers
+    header = {spectral.OUTLIERS: [list(place) for place in outliers]}
     image = SpectralImage([550.0], 10.0, 1.0, data=picture[..., None], header=header)
-    plain = without_outliers(image)
+    plain = spectral.without_outliers(image)
     assert (plain is None) == (not outliers)
     if plain is not None:
-        assert (plain.data.max(), OUTLIERS in plain.header) == (1, False)
+        assert (plain.data.max(), spectral.OUTLIERS in plain.header) == (1, False)
 
 
 @pytest.mark.parametrize("places", [[[3]], [["a", 1]], [[9, 0]], "text", [[0, -1]]])
 def test_outliers_of_a_foreign_header_change_nothing(places) -> None:
-    assert without_outliers(image(data=np.ones((2, 2, 1)), header={OUTLIERS: places})) is None
+    assert (
+        spectral.without_outliers(
+            image(data=np.ones((2, 2, 1)), header={spectral.OUTLIERS: places})
+        )
+        is None
+    )
 
 
 @pytest.mark.skipif(not SPECTRA.is_dir(), reason="the tests are installed without the scenes")

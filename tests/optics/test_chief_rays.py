@@ -15,13 +15,12 @@ import pytest
 from helpers.claims import check
 from helpers.tiny import tiny_toml
 
-from pixsim import PixsimError, Study, read_irradiance
+from pixsim import PixsimError, Study, optics, read_irradiance
 from pixsim.base.records import checked
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.stack import Stack, collected_shares
-from pixsim.optics.thin_lens import field_factor, irradiance_factor
 from pixsim.studies.files import load_study, settings_text
 from pixsim.studies.sensors import matched_cameras
 from pixsim.viewer.setting import Run
@@ -150,7 +149,7 @@ def test_angles_alone_leave_the_fall_off() -> None:
     plain = Camera()
     angles = plain.model_copy(update={"chief_ray_angle": ((0.0, 0.0), (2.0, 25.0))})
     geometry = plain.image_distance_mm, plain.f_number, plain.magnification
-    wanted = field_factor((7, 9), 200.0, *geometry)
+    wanted = optics.field_factor((7, 9), 200.0, *geometry)
     for camera in (plain, angles):
         check("factor", camera_factor(camera, (7, 9), 200.0), wanted, why="the same bits")
     assert plain.lights_like(angles)
@@ -161,7 +160,7 @@ def test_relative_illumination_replaces_the_fall_off(tmp_path: Path) -> None:
     camera = Camera(die_mm=2.4, chief_ray_angle=[[0, 0, 1], [1, 20, 0.7], [2, 30, 0.4]])
     assert not camera.lights_like(Camera(die_mm=2.4))
     at_mm = (np.arange(16) - 7.5) * 0.15
-    on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+    on_axis = float(optics.irradiance_factor(camera.f_number, 0.0, camera.magnification))
     wanted = on_axis * (1 - 0.3 * np.hypot(at_mm, at_mm[:, None]))
     check("factor", camera_factor(camera, (16, 16), 150.0), wanted, rtol=1e-12, why="rounding")
     part = camera_factor(camera, (16, 16), 150.0, np.s_[3:9, 8:16])

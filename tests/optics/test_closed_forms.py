@@ -152,8 +152,10 @@ def test_catalogue_of_zemax_has_each_formula_of_its_manual(tmp_path, encoding: s
     for formula, (coefficients, square) in AGF.items():
         n_d = math.sqrt(square(LINES_UM["d"], coefficients))
         numbers = [*coefficients, *([0.0] * (10 - len(coefficients)))]
-        lines += ["CC a glass", f"NM GLASS{formula} {formula} 517642 {n_d} 64.2 0 1", "GC nothing"]
-        lines += [f"CD {' '.join(map(repr, numbers))}", "TD 0 0 0 0 0 0 20", "LD 0.35 2.0"]
+        lines += [
+            *("CC a glass", f"NM GLASS{formula} {formula} 517642 {n_d} 64.2 0 1", "GC nothing"),
+            *(f"CD {' '.join(map(repr, numbers))}", "TD 0 0 0 0 0 0 20", "LD 0.35 2.0"),
+        ]
     (tmp_path / "mine.agf").write_bytes("\n".join(lines).encode(encoding))
     glasses = read_catalogue(tmp_path / "mine.agf")
     um = np.array([0.4, 0.55, 1.1])

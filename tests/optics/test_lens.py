@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from helpers.claims import Claim, check
 
-from pixsim import PixsimError, load_lens
+from pixsim import PixsimError, load_lens, optics
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
 from pixsim.optics.lens import Lens, lens_from_prescription
 from pixsim.optics.prescription import Prescription, Surface
-from pixsim.optics.thin_lens import irradiance_factor
 
 DATA = Path(__file__).parents[1] / "data" / "lenses"
 LENSES = (
@@ -215,7 +214,7 @@ CLAIMS = [
     Claim(
         "a thin lens has the fall-off of Foote",
         lambda: lens_from_prescription(THIN).projected_solid_angle_sr(np.linspace(0, 20, 5), 550.0),
-        irradiance_factor(100.0, np.tan(np.radians(np.linspace(0, 20, 5)))),
+        optics.irradiance_factor(100.0, np.tan(np.radians(np.linspace(0, 20, 5)))),
         rtol=1e-4,
         why="f/100, 10 nm thick",
     ),
@@ -426,15 +425,14 @@ def test_clear_apertures_take_light_and_the_image_circle_ends() -> None:
 
 
 def test_directions_fill_the_outline_and_follow_the_azimuth() -> None:
-    azimuth = np.array([0.0, 90.0, 217.0])
-    rays = PHONE.directions(20.0, 550.0, azimuth)
+    azimuth = np.radians([0.0, 90.0, 217.0])
+    rays = PHONE.directions(20.0, 550.0, np.degrees(azimuth))
     sine = np.sin(np.radians(PHONE.chief_ray(20.0, 550.0).angle_deg))
-    outward = np.stack([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))], axis=-1)
+    outward = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
     mean = (rays.cosines * rays.shares[..., None]).sum(axis=1)
-    length = np.linalg.norm(mean[0])
     check("chief rays", rays.chief_cosines, sine * outward, atol=1e-9, why="aiming")
-    check("mean", mean, length * outward, atol=1e-9, why="turned")
-    check("mean along the field", length, sine, rtol=0.02, why="the pupil is not symmetric")
+    check("mean", mean, mean[0, 0] * outward, atol=1e-9, why="turned")
+    check("mean along the field", mean[0, 0], sine, rtol=0.02, why="the pupil is not symmetric")
 
 
 def test_light_behind_strong_aspheres_ends_at_the_first_edge() -> None:
