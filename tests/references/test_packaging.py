@@ -38,7 +38,7 @@ QUICK_TESTS = {
     "optics": "closed_forms lens",
     "sensor": "closed_forms noise pixel readout technology",
     "scene": "closed_forms plan scene",
-    "viewer": "causes closed_forms metrics",
+    "viewer": "causes closed_forms",
     "studies": "closed_forms paper study",
     "measure": "lens sfr",
     "verification": "accuracy",
