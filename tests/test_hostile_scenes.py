@@ -47,16 +47,11 @@ from pixsim.scene.tree import nodes_of, parse_tree, tree_of
 
 VARIANT = "scalar_spectral"
 SIDE = 8
-FILM = (
-    f'<film type="hdrfilm"><integer name="width" value="{SIDE}"/><integer name="height"'
-    f' value="{SIDE}"/></film>'
-)
-SAMPLER = '<sampler type="multijitter"><integer name="sample_count" value="4"/></sampler>'
-LENS = (
-    '<float name="fov" value="40"/><float name="aperture_radius" value="0.0005"/><float'
-    ' name="focus_distance" value="1"/>'
-)
-SENSOR = f'<sensor type="thinlens">{LENS}{SAMPLER}{FILM}</sensor>'
+SENSOR = f"""<sensor type="thinlens"><float name="fov" value="40"/>
+<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="1"/>
+<sampler type="multijitter"><integer name="sample_count" value="4"/></sampler>
+<film type="hdrfilm"><integer name="width" value="{SIDE}"/><integer name="height" value="{SIDE}"/>
+</film></sensor>""".replace("\n", "")
 LIT = '<integrator type="path"/>' + SENSOR + '<emitter type="constant"/>'
 HEAD = '<scene version="3.0.0">'
 
@@ -472,7 +467,6 @@ NAMED = {
         '<volume type="gridvolume"><string name="filename" value="{}"/></volume>',
     ),
 }
-VOLUME_NAME = '<string name="filename" value="a.vol"/>'
 SECRET = "root:hunter2:0"
 
 
@@ -506,7 +500,7 @@ def test_what_a_file_holds_is_not_quoted(kind, tmp_path):
     body = body.format(f"a.{suffix}")
     wrapped = {
         "bsdf": f'<shape type="sphere">{body}</shape>',
-        "volume": BUILT["volume"].format("gridvolume", VOLUME_NAME),
+        "volume": BUILT["volume"].format("gridvolume", NEEDED["gridvolume"]),
     }
     volume = {"lit": LIT.replace('"path"', '"volpath"')} if kind == "gridvolume" else {}
     path = scene_of(tmp_path, "\n" + wrapped.get(body[1:].split()[0], body), **volume)

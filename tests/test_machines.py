@@ -278,7 +278,6 @@ def test_empty_parts_of_variables_are_not_the_current_folder(folder: Path) -> No
     assert (done.stdout, log.exists()) == ("[1, 2, 3]\n", False), done.stderr
 
 
-MINE = "def double(task, _):\n    return 2 * task\n"
 SCRIPT_OF_USER = """
 import os
 import mine
@@ -294,7 +293,9 @@ if __name__ == "__main__":
 
 def test_a_users_own_modules_reach_the_workers(folder: Path, tmp_path: Path) -> None:
     """Those beside the script; and the variables of its process are afterwards as before."""
-    (tmp_path / "mine.py").write_text(MINE, encoding="utf-8")
+    (tmp_path / "mine.py").write_text(
+        "def double(task, _):\n    return 2 * task\n", encoding="utf-8"
+    )
     (tmp_path / "script.py").write_text(SCRIPT_OF_USER, encoding="utf-8")
     log = plant(folder, ["joblib", "multiprocessing", "numpy"])
     environment = os.environ | {"PYTHONPATH": HOME}

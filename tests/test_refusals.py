@@ -216,14 +216,16 @@ class Place:
         return tomli_w.dumps({"name": name, **numbers})
 
 
-PLACES: dict[type[Record], Place] = {}
-for root, read in (
-    (_PrescriptionFile, pixsim.load_lens),
-    (pixsim.Technology, pixsim.load_technology),
-    (Study, load_study),
-    (Run, lambda path: checked(Run, [settings_layer(path)])),
-):
-    PLACES |= {record: Place(root, path, read) for record, path in tables_inside(root)}
+PLACES = {
+    record: Place(root, path, read)
+    for root, read in (
+        (_PrescriptionFile, pixsim.load_lens),
+        (pixsim.Technology, pixsim.load_technology),
+        (Study, load_study),
+        (Run, lambda path: checked(Run, [settings_layer(path)])),
+    )
+    for record, path in tables_inside(root)
+}
 
 
 def message_of_file(place: Place, table: Table, path: Path) -> str:
@@ -260,8 +262,9 @@ def test_file_refuses_what_a_field_does_not_allow(record: type[Record], tmp_path
     assert not misses, "\n".join(misses)
 
 
-LINES = {record: "run csf" for record, place in PLACES.items() if place.root is Run}
-LINES |= {PitchRange: "study pixel-size"}
+LINES = {record: "run csf" for record, place in PLACES.items() if place.root is Run} | {
+    PitchRange: "study pixel-size"
+}
 OTHER_OPTIONS = {"--window-mm": "--window", "--lens.file": "--lens", "--noise-budget": "a flag"}
 
 

@@ -20,7 +20,6 @@ from pixsim.cli.options import SceneOptions
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import TracedLens
 from pixsim.sensor.integration import pixels_along
-from pixsim.sensor.pixel import fill_factor_law
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.design import pixel_of, study_pitches_um
 from pixsim.studies.files import load_study
@@ -338,37 +337,39 @@ def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
     assert (study_pitches_um(study, "0.35um").size, study.repeats) == (sizes, sensors)
 
 
-def test_study_layers_measured_well_scales_with_area(tmp_path: Path) -> None:
-    text = '[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\nfull_well_e = 40000\n'
-    study = study_of(text, tmp_path)
-    assert study.pixel.data_sheet_pitch_um == 6.5
-    areas_um2 = fill_factor_law([6.5, 13.0], pixsim.load_technology("0.35um")) * [6.5**2, 13.0**2]
-    well_e = pixsim.derive(pixel_of(study, "0.35um", 13.0)).full_well_e
-    assert well_e == pytest.approx(40000 * areas_um2[1] / areas_um2[0], rel=1e-12)
-    without_well = study_of(text.replace("full_well_e = 40000", "bits = 12"), tmp_path)
-    assert without_well.pixel.data_sheet_pitch_um is None
+def test_study_layers_measured_well_has_the_pitch_of_its_sheet(tmp_path: Path) -> None:
+    """So it scales with the area; without a well the pitch is that of the study."""
+    for words, pitch_um in (("full_well_e = 40000", 6.5), ("bits = 12", None)):
+        text = f'[pixel]\ntechnology = "0.35um"\npitch_um = 6.5\n{words}\n'
+        assert study_of(text, tmp_path).pixel.data_sheet_pitch_um == pitch_um
 
 
 # --- The die from its pixels
 # --------------------------------------------------------------------------------------------
 
 
-def test_settings_pixels_and_pitch_give_the_die(tmp_path: Path) -> None:
+PITCH, PIXELS = "[pixel]\npitch_um = 3.45\n", "[camera]\npixels = [2448, 2048]\n"
+
+
+@pytest.mark.parametrize(
+    ("texts", "options"),
+    [
+        ([PITCH + PIXELS], {}),
+        ([PITCH, PIXELS], {}),
+        ([PITCH], {"camera": {"pixels": "2448x2048"}}),
+        ([PIXELS], {"pixel": {"pitch_um": "3.45"}}),
+    ],
+)
+def test_settings_pixels_and_pitch_give_the_die(
+    texts: list[str], options: dict[str, dict[str, str]], tmp_path: Path
+) -> None:
     """In one file, in two, or with options, as text too; pixels_along counts the same pixels."""
-    pixel, camera = "[pixel]\npitch_um = 3.45\n", "[camera]\npixels = [2448, 2048]\n"
-    one, other = written(tmp_path / "one.toml", pixel), written(tmp_path / "other.toml", camera)
-    both = written(tmp_path / "both.toml", pixel + camera)
-    for settings in (
-        SceneOptions([both]).settings(),
-        SceneOptions([one, other]).settings(),
-        SceneOptions([one]).settings(camera={"pixels": "2448x2048"}),
-        SceneOptions([other]).settings(pixel={"pitch_um": "3.45"}),
-    ):
-        assert (settings.camera.die_mm, settings.camera.die_height_mm) == (8.4456, 7.0656)
-        assert [pixels_along(1e3 * side, 3.45) for side in (8.4456, 7.0656)] == [2448, 2048]
-        camera_of_scene = settings.camera.over(pixsim.Camera())
-        assert (camera_of_scene.die_mm, camera_of_scene.height_mm) == (8.4456, 7.0656)
-    assert pixsim.Camera(die_mm=3.0).height_mm == 3.0
+    paths = [written(tmp_path / f"{number}.toml", text) for number, text in enumerate(texts)]
+    camera = SceneOptions(paths).settings(**options).camera
+    assert (camera.die_mm, camera.die_height_mm) == (8.4456, 7.0656)
+    assert [pixels_along(1e3 * side, 3.45) for side in (8.4456, 7.0656)] == [2448, 2048]
+    over = camera.over(pixsim.Camera())
+    assert (over.die_mm, over.height_mm) == (8.4456, 7.0656)
 
 
 @pytest.mark.parametrize(
@@ -378,8 +379,7 @@ def test_settings_pixels_and_pitch_give_the_die(tmp_path: Path) -> None:
 def test_settings_pixels_with_another_die_raises(die: str, off_um: float, tmp_path: Path) -> None:
     """Half a pixel, 1.725 µm, is the limit; the given die then stands."""
     given = {"die_mm": 8.4456, "die_height_mm": 7.0656}[die] + 1e-3 * off_um
-    text = f"[pixel]\npitch_um = 3.45\n[camera]\npixels = [2448, 2048]\n{die} = {given!r}\n"
-    path = written(tmp_path / "sensor.toml", text)
+    path = written(tmp_path / "sensor.toml", f"{PITCH}{PIXELS}{die} = {given!r}\n")
     if abs(off_um) < 1.725:
         assert getattr(SceneOptions([path]).settings().camera, die) == given
     else:
@@ -394,14 +394,11 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
     """The die is that of the sheet's own pitch, whether a data sheet or a technology; and of the
     study's own [pixel].
     """
-    for text in (SHEET.replace("die_mm = 2.0", "pixels = [500, 400]"), '[pixel]\ntechnology = "4t-bsi"\npitch_um = 4.0\n[camera]\n'
-                 "pixels = [500, 400]\n"):  # fmt: skip
-        study = study_of(text, tmp_path)
-        assert (study.camera.die_mm, study.camera.die_height_mm, study.camera.pixels) == (
-            2.0,
-            1.6,
-            None,
-        )
+    pixels = "[camera]\npixels = [500, 400]\n"
+    sheet = SHEET.replace("die_mm = 2.0", "pixels = [500, 400]")
+    for text in (sheet, f'[pixel]\ntechnology = "4t-bsi"\npitch_um = 4.0\n{pixels}'):
+        camera = study_of(text, tmp_path).camera
+        assert (camera.die_mm, camera.die_height_mm, camera.pixels) == (2.0, 1.6, None)
     table = {"name": "a", "pixel": {"data_sheet_pitch_um": 4.0}, "camera": {"pixels": [500, 400]}}
     assert Study.model_validate(table).camera.die_height_mm == 1.6
 

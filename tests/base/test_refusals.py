@@ -248,16 +248,19 @@ SURF 2
   DISZ 0
 """
 SCENE = '<scene version="3.0.0"><bsdf type="diffuse" id="a"/>{}</scene>'
-READERS: dict[str, Callable[[Path], object]] = {
-    "toml lens": lambda path: read_prescription(str(path)),
-    "zmx": lambda path: read_prescription(str(path)),
-    "technology": lambda path: load_technology(str(path)),
-    "csv": lambda path: PixelOptions.model_validate({"quantum_efficiency": str(path)}),
-    "channels": lambda path: PixelOptions.model_validate({"colour": {"sensitivities": str(path)}}),
-    "settings": lambda path: checked(Run, [settings_layer(path)]),
-    "xml": lambda path: pixsim.load_scene(path, variant="scalar_spectral"),
+# Kind of file -> its ending, and its reader.
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "toml lens": (".toml", lambda path: read_prescription(str(path))),
+    "zmx": (".zmx", lambda path: read_prescription(str(path))),
+    "technology": (".toml", lambda path: load_technology(str(path))),
+    "csv": (".csv", lambda path: PixelOptions.model_validate({"quantum_efficiency": str(path)})),
+    "channels": (
+        ".csv",
+        lambda path: PixelOptions.model_validate({"colour": {"sensitivities": str(path)}}),
+    ),
+    "settings": (".toml", lambda path: checked(Run, [settings_layer(path)])),
+    "xml": (".xml", lambda path: pixsim.load_scene(path, variant="scalar_spectral")),
 }
-SUFFIXES = {"zmx": ".zmx", "csv": ".csv", "channels": ".csv", "xml": ".xml"}
 
 
 def edits(text: str) -> list[str]:
@@ -305,11 +308,12 @@ CONTENTS = {
 
 @pytest.mark.parametrize("kind", CONTENTS)
 def test_no_message_quotes_a_file(kind: str, tmp_path: Path) -> None:
-    path, refused = tmp_path / f"x{SUFFIXES.get(kind, '.toml')}", 0
+    suffix, read = READERS[kind]
+    path, refused = tmp_path / f"x{suffix}", 0
     for text in CONTENTS[kind]:
         path.write_text(text, encoding="utf-8")
         try:
-            READERS[kind](path)
+            read(path)
         except ValueError as error:  # of pydantic too
             message = str(error) if isinstance(error, pixsim.PixsimError) else explain(error)
             assert not PARTS.search(message), text

@@ -10,7 +10,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -25,7 +24,6 @@ from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.light.exr import read_channels
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.viewer.setting import Run
 
 RUN_FILES = {
     "results.csv", "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json",
@@ -295,10 +293,19 @@ def test_run_raw_exr_holds_digital_numbers(picture: Path) -> None:
 
 
 def test_options_and_later_files_take_precedence(desk: Path) -> None:
-    first = "seed = 5\n[camera]\nf_number = 2.8\n[pixel]\npitch_um = 8\nbits = 12\n"
-    Path("first.toml").write_text(first + "[scene]\nresolution = 32\n", encoding="utf-8")
-    second = "[pixel]\npitch_um = 9\nprnu = 0.0\n[display]\ndots = 32\n[scene]\nspp = 4\n"
-    Path("second.toml").write_text(second, encoding="utf-8")
+    texts = {
+        "first.toml": """seed = 5
+scene.resolution = 32
+camera.f_number = 2.8
+pixel = { pitch_um = 8, bits = 12 }
+""",
+        "second.toml": """scene.spp = 4
+pixel = { pitch_um = 9, prnu = 0.0 }
+display.dots = 32
+""",
+    }
+    for name, text in texts.items():
+        Path(name).write_text(text, encoding="utf-8")
     files = "--config first.toml --config second.toml"
     code, out, err = command(f"run flat {files} --pixel.pitch-um 10 -D resolution=64 --json")
     assert code == 0, err
@@ -483,11 +490,3 @@ def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
     assert list(home.rglob("*")) == []
     assert list(here.rglob("*")) == [], "temporary files remain"
     assert {path.name for path in kept.iterdir()} > {"kernels", "matplotlib"}
-
-
-def test_first_settings_of_a_reader_are_valid() -> None:
-    page = (Path(__file__).parents[2] / "docs/first_sensor.md").read_text(encoding="utf-8")
-    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)]
-    assert tables
-    for table in tables:
-        (pixsim.Study if "name" in table else Run).model_validate(table)
