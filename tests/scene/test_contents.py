@@ -24,26 +24,21 @@ def box(x: float, y: float, z: float, half: tuple[float, float, float] = (0, 0, 
     return Body(0, corners, None)
 
 
-def widest(camera: pixsim.Camera, half_m: float, z: float) -> float:
-    """Return the largest distance from the axis, at a depth, of any ray between the lens and the
-    plane in focus.
-    """
-    a, u = camera.aperture_radius_m, camera.object_distance_m
-    start, end = np.meshgrid(np.linspace(-a, a, 201), np.linspace(-half_m, half_m, 201))
-    return float(np.abs(start + (end - start) * z / u).max())
-
-
 @pytest.mark.parametrize("z", [1e-4, 0.02, 0.5, 1.0, 1.5, 20.0])
 @pytest.mark.parametrize("aspect", [1.0, 2.0])
 @pytest.mark.parametrize("f_number", [0.6, 4.0])
 def test_in_view_contains_all_hit_bodies(z, aspect, f_number):
+    """Up to the largest distance from the axis, at a depth, of any ray between the lens and the
+    plane in focus.
+    """
     camera = pixsim.Camera(f_number=f_number)
+    a, u = camera.aperture_radius_m, camera.object_distance_m
     for axis, half_m in ((0, camera.chart_half_width_m), (1, camera.chart_half_width_m / aspect)):
-        edge = widest(camera, half_m, z)
+        start, end = np.meshgrid(np.linspace(-a, a, 201), np.linspace(-half_m, half_m, 201))
+        edge = np.abs(start + (end - start) * z / u).max()
         for side, times in product((-1, 1), (0.999, 1.001)):
-            at = [0.0, 0.0]
-            at[axis] = side * times * edge
-            assert box(*at, z).in_view(camera, aspect) == (times < 1), (axis, side, times)
+            place = side * times * edge * np.eye(3)[axis] + [0, 0, z]
+            assert box(*place).in_view(camera, aspect) == (times < 1), (axis, side, times)
 
 
 @pytest.mark.parametrize(
@@ -297,9 +292,8 @@ UNKNOWN = {
 }
 
 
-@pytest.mark.parametrize("name", UNKNOWN)
-def test_find_surfaces_unknown_spectra_state_reason(name, tmp_path):
-    body, reason = UNKNOWN[name]
+@pytest.mark.parametrize(("body", "reason"), UNKNOWN.values(), ids=UNKNOWN)
+def test_find_surfaces_unknown_spectra_state_reason(body: str, reason: str, tmp_path: Path) -> None:
     result = surfaces_of(tmp_path, bsdf("diffuse", RGB), body)
     assert result.spectra is None
     assert reason in result.unknown

@@ -25,10 +25,8 @@ from pixsim.base.progress import no_stage
 from pixsim.scene import convergence, film
 from pixsim.scene.guard import child
 from pixsim.scene.job import OutOfTimeError
-from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import KIND, LEVEL_FACTOR, CachedRenders, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.studies.run import prepare, render_run
 from pixsim.viewer.merging import merge
@@ -43,7 +41,7 @@ SHORT = pixsim.Exposure(integration_s=2e-3)
 def prepared(name: str) -> tuple[Any, ...]:
     scene = load(name, resolution=32, spp=4)
     camera = scene.camera()
-    return scene, camera, make_plan(scene, camera, PIXEL)
+    return scene, camera, pixsim.make_plan(scene, camera, PIXEL)
 
 
 def until(
@@ -62,31 +60,29 @@ def until(
 def electrons_e(
     image: pixsim.SpectralImage, pixel: pixsim.Pixel, exposure: pixsim.Exposure
 ) -> np.ndarray:
-    physics = derive(pixel)
+    physics = pixsim.derive(pixel)
     sides_um = image.pitch_um, physics.pitch_um, physics.photodiode_side_um
     return exposure.integration_s * integrate_pixels(ideal_rate(image, physics), *sides_um)
 
 
 def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim.Exposure) -> Any:
     """Return shot, dark, kTC, read and quantisation noise, squared."""
-    readout = Readout.of(derive(pixel))
+    readout = Readout.of(pixsim.derive(pixel))
     dark_e = readout.dark_current_e_per_s * exposure.integration_s
     floor_e2 = readout.physics.reset_noise_e**2 + readout.read_noise_e**2
     return mean_e + dark_e + floor_e2 + 1 / (12 * readout.dn_per_e**2)
 
 
 class Noisy:
-    """Replacement for renders: a grey picture with noise whose variance is proportional to
-    1/samples.
+    """Replacement for renders: a grey picture with noise of 10 % in a sample.
 
     stuck : run that the time limit finds unfinished
     """
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, relative: float) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.levels: list[int] = []
         self.stuck = -1
         monkeypatch.setattr(Renderer, "run", self.run)
-        self.relative = relative
 
     def run(self, index: int, progress: Callable[[float], None] | None = None, level: int = 0):
         if index == self.stuck:
@@ -94,7 +90,7 @@ class Noisy:
         spp = int(4 * LEVEL_FACTOR ** max(0, level))
         self.levels.append(level)
         rng = np.random.default_rng([index, max(0, level)])
-        noise = rng.standard_normal((32, 32, 1)) * self.relative / np.sqrt(spp)
+        noise = rng.standard_normal((32, 32, 1)) * 0.1 / np.sqrt(spp)
         return [0.5 * (1 + noise)], spp
 
 
@@ -113,24 +109,24 @@ def test_render_until_noise_matches_independent_renders() -> None:
     assert np.sqrt((reported**2).mean(axis=0)) == pytest.approx([noise, relative], rel=0.2)
 
 
-def test_noise_of_known_noise_is_unbiased(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("target", [LOOSE, 5e-2])
+def test_noise_of_known_noise_is_unbiased(target: float, monkeypatch: pytest.MonkeyPatch) -> None:
     # White noise with one pixel per cell: its fraction of sensor noise is σ_e/√(N V).
-    renders = Noisy(monkeypatch, 0.1)
+    renders = Noisy(monkeypatch)
     pixel = pixsim.Pixel(pitch_um=2713.6 / 32, fill_factor=1.0, full_well_e=1e6)
     exposure = pixsim.Exposure(integration_s=1e-4)
-    for target in (LOOSE, 5e-2):
-        image, noise = until(target, pixels=[pixel], exposure=exposure)
-        mean_e = electrons_e(image, pixel, exposure)
-        relative = 0.1 / math.sqrt(image.header["spp"])
-        power = (mean_e**2 / sensor_variance_e2(mean_e, pixel, exposure)).mean()
-        # 1024 cells: 2.2 % of noise, 5σ.
-        expected = pytest.approx([relative * math.sqrt(power), relative], rel=0.11)
-        assert [noise.fraction, noise.relative] == expected
-    assert max(renders.levels) > 1
+    image, noise = until(target, pixels=[pixel], exposure=exposure)
+    mean_e = electrons_e(image, pixel, exposure)
+    relative = 0.1 / math.sqrt(image.header["spp"])
+    power = (mean_e**2 / sensor_variance_e2(mean_e, pixel, exposure)).mean()
+    # 1024 cells: 2.2 % of noise, 5σ.
+    expected = pytest.approx([relative * math.sqrt(power), relative], rel=0.11)
+    assert [noise.fraction, noise.relative] == expected
+    assert (max(renders.levels) > 1) == (target < LOOSE)
 
 
 def test_render_until_worst_pixel_counts() -> None:
-    pixels = [pixsim.Pixel(pitch_um=10.6), derive(PIXEL)]
+    pixels = [pixsim.Pixel(pitch_um=10.6), pixsim.derive(PIXEL)]
     fractions = [until(LOOSE, pixels=[pixel])[1].fraction for pixel in pixels]
     assert until(LOOSE, pixels=pixels)[1].fraction == max(fractions) > 1.05 * min(fractions)
 
@@ -148,20 +144,20 @@ def test_measured_parts_are_a_sample_of_the_pixels(shape: tuple[int, int]) -> No
 # --- When rendering ends ---
 
 
-def test_render_until_lower_target_renders_more(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("factor", [0.99, 3, 10, 40])
+def test_render_until_lower_target_renders_more(
+    factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     # Not much more than needed: noise² goes with 1/samples, and the last pair has at most four
     # times the samples before.
-    renders = Noisy(monkeypatch, 0.1)
+    renders = Noisy(monkeypatch)
     first = until(LOOSE)[1].fraction
-    spent = []
-    for factor in (0.99, 3, 10, 40):
-        renders.levels.clear()
-        image, noise = until(first / factor)
-        assert (noise.fraction <= noise.target, noise.ended_by) == (True, "target")
-        assert renders.levels[::2] == renders.levels[1::2]  # in pairs
-        spent.append(sum(4 * LEVEL_FACTOR**level for level in renders.levels))
-        assert image.header["spp"] == spent[-1] < 8 * max(4, 2 * LEVEL_FACTOR) * factor**2
-    assert spent == sorted(set(spent))
+    renders.levels.clear()
+    image, noise = until(first / factor)
+    assert (noise.fraction <= noise.target, noise.ended_by) == (True, "target")
+    assert renders.levels[::2] == renders.levels[1::2]  # in pairs
+    spent = sum(4 * LEVEL_FACTOR**level for level in renders.levels)
+    assert image.header["spp"] == spent < 8 * max(4, 2 * LEVEL_FACTOR) * factor**2
 
 
 @pytest.mark.parametrize("tolerance_delta_e", [10.0, 1.0, 0.1, None])
@@ -170,7 +166,7 @@ def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated
 ) -> None:
     # White noise of σ in each of N samples makes σ √(2/πN) of mean |difference|, and halves differ
     # by twice that.
-    Noisy(monkeypatch, 0.1)
+    Noisy(monkeypatch)
 
     def delta_e_between(image: pixsim.SpectralImage, other: pixsim.SpectralImage) -> float:
         return 100 * float(np.abs(image.planes - other.planes).mean() / image.planes.mean())
@@ -185,7 +181,7 @@ def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated
 
 def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """In one half 4 + 4 + 16 + 16 + 16 samples a cell: 64 do not fit into 70, nor another 16."""
-    renders = Noisy(monkeypatch, 0.1)
+    renders = Noisy(monkeypatch)
     monkeypatch.setattr(film, "CHART_SAMPLES", 140 * 32 * 32)
     monkeypatch.setattr(convergence.time, "monotonic", lambda: 1e9 * len(renders.levels))
     with pytest.warns(UserWarning, match=r"limit of 140000 samples"):
@@ -196,7 +192,7 @@ def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.M
 
 def test_time_limit_ends_renders(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second goes by from each look at the clock to the next; one more look at most."""
-    Noisy(monkeypatch, 0.1)
+    Noisy(monkeypatch)
     clock = iter(range(10**6))
     monkeypatch.setattr(convergence.time, "monotonic", lambda: float(next(clock)))
     with pytest.warns(UserWarning, match=r"time limit of 20 s.*--max-seconds or --render-noise"):
@@ -210,7 +206,7 @@ def test_pair_without_time_is_left_out(stuck: int, monkeypatch: pytest.MonkeyPat
     """What the time limit finds unfinished leaves the picture of the pairs before it, also where
     half of a pair is done.
     """
-    renders = Noisy(monkeypatch, 0.1)
+    renders = Noisy(monkeypatch)
     expected, pair_noise = until(LOOSE, max_seconds=9)
     renders.stuck = stuck
     with pytest.warns(UserWarning, match="its time limit of 9 s"):

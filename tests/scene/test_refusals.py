@@ -26,7 +26,7 @@ from pixsim.scene import charts
 from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.mitsuba import mitsuba_session
 from pixsim.scene.own_chart import read_luminance
-from pixsim.scene.plan import Plan, make_plan, make_render_plan
+from pixsim.scene.plan import make_plan, make_render_plan
 from pixsim.scene.variants import variant
 
 CASES = Path(__file__).parents[1] / "data/cases"
@@ -61,9 +61,9 @@ def loaded(*elements: str, **parameters: object) -> Callable[[Path], object]:
     return lambda folder: load(scene_file(folder, sensor_xml(), *elements), **parameters)
 
 
-def seen(*elements: str) -> Callable[[Path], pixsim.SpectralImage]:
+def seen(*elements: str, **parameters: object) -> Callable[[Path], pixsim.SpectralImage]:
     """Render a scene of some elements."""
-    return lambda folder: pixsim.render(load(scene_file(folder, sensor_xml(), *elements)))
+    return lambda folder: pixsim.render(loaded(*elements, **parameters)(folder))
 
 
 def sensors(*elements: str) -> Callable[[Path], object]:
@@ -75,15 +75,25 @@ def changed(name: str, *edits: tuple[str, str], **parameters: object) -> Callabl
     return lambda folder: load(edited(folder, name, *edits), **parameters)
 
 
+def stored(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def lit_by(table: str) -> Callable[[Path], object]:
+    """Load a scene whose lamp has the spectrum of a file."""
+    return lambda folder: load(
+        scene_file(folder, sensor_xml(), LAMP.format(stored(folder / "a.spd", table.encode()).name))
+    )
+
+
 def included(part: str, *elements: str, **parameters: object) -> Callable[[Path], object]:
-    """Render a scene of some elements, of which 'part.xml' is included."""
-
-    def render(folder: Path) -> object:
-        (folder / "part.xml").write_text(f'<scene version="3.0.0">{part}</scene>', encoding="utf-8")
-        elements_xml = ('<include filename="part.xml"/>', CONSTANT, *elements)
-        return pixsim.render(load(scene_file(folder, sensor_xml(), *elements_xml), **parameters))
-
-    return render
+    """Render a scene of some elements, of which one file is included."""
+    content = f'<scene version="3.0.0">{part}</scene>'.encode()
+    include = '<include filename="{}"/>'
+    return lambda folder: seen(
+        include.format(stored(folder / "part.xml", content).name), CONSTANT, *elements, **parameters
+    )(folder)
 
 
 def metal(inside: str) -> str:
@@ -200,6 +210,15 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a flat transform": (loaded(shape('<transform name="to_world"><scale value="0"/></transform>')), "invertible"),
     "a reference to nothing": (loaded(shape('<ref id="nowhere"/>')), "'nowhere', which does not exist"),
     "a table in µm": (lambda _: load(CASES / "31-xml-variants/spd_um.xml"), "seem to be in µm"),
+    "a table in Å": (
+        lambda folder: make_render_plan(loaded(CONSTANT, ball("diffuse", '<spectrum name="reflectance" value="4000:.5, 8000:.5"/>'))(folder)),
+        "seem to be in Å",
+    ),
+    "a spectrum of one line": (lit_by("400 1\n"), "at least two"),
+    "a spectrum out of order": (lit_by("400 1\n500 1\n450 1\n"), "500 nm followed by 450 nm"),
+    "a response": (lit_by("nm;response (A/W)\n400;1\n500;1\n"), "A/W"),
+    "a spectrum in words": (lit_by("400 one\n500 two\n"), "spectrum"),
+    "an empty spectrum": (lit_by(""), "empty"),
     "a reflectance in per cent": (
         lambda _: make_render_plan(load(CASES / "39-xml-reflectance-percent/full.xml")),
         "got 50 in bsdf",
@@ -272,11 +291,6 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         "same quantity",
     ),
 }  # fmt: skip
-
-
-def stored(path: Path, content: bytes) -> Path:
-    path.write_bytes(content)
-    return path
 
 
 def black(folder: Path) -> Path:
@@ -400,23 +414,7 @@ BALL = '<shape type="sphere"><bsdf type="diffuse">{}</bsdf></shape>'
 LAMP = '<emitter type="constant"><spectrum name="radiance" filename="{}"/></emitter>'
 
 
-def plan(folder: Path, *elements: str) -> Plan:
-    return make_render_plan(load(scene_file(folder, sensor_xml(), CONSTANT, *elements)))
-
-
-def text_of(folder: Path, *elements: str) -> str:
-    return open_scene(scene_file(folder, *elements), {}).text
-
-
 # --- Units and files of spectra ---
-
-
-@pytest.mark.parametrize(("table", "unit"), [("0.4:.5, 0.8:.5", "µm"), ("4000:.5, 8000:.5", "Å")])
-def test_wavelengths_in_another_unit_are_named(table: str, unit: str, tmp_path: Path) -> None:
-    """Not those of an infrared table."""
-    with pytest.raises(pixsim.PixsimError, match=f"seem to be in {unit}"):
-        plan(tmp_path, BALL.format(f'<spectrum name="reflectance" value="{table}"/>'))
-    plan(tmp_path, BALL.format('<spectrum name="reflectance" value="850:.5, 1700:.5"/>'))
 
 
 @pytest.mark.parametrize(
@@ -428,24 +426,8 @@ def test_wavelengths_in_another_unit_are_named(table: str, unit: str, tmp_path: 
     ],
 )
 def test_units_of_a_file_are_obeyed(content: str, value: str, tmp_path: Path) -> None:
-    (tmp_path / "a.spd").write_text(content, encoding="latin-1")
-    assert f'value="{value}"' in text_of(tmp_path, LAMP.format("a.spd"))
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("400 1\n", "at least two"),
-        ("400 1\n500 1\n450 1\n", "500 nm followed by 450 nm"),
-        ("nm;response (A/W)\n400;1\n500;1\n", "A/W"),
-        ("400 one\n500 two\n", "spectrum"),
-        ("", "empty"),
-    ],
-)
-def test_tables_that_are_no_spectrum_are_refused(content: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / "a.spd").write_text(content, encoding="utf-8")
-    with pytest.raises(pixsim.PixsimError, match=words):
-        text_of(tmp_path, LAMP.format("a.spd"))
+    stored(tmp_path / "a.spd", content.encode("latin-1"))
+    assert f'value="{value}"' in open_scene(scene_file(tmp_path, LAMP.format("a.spd")), {}).text
 
 
 # --- Shares of light ---
@@ -488,7 +470,8 @@ REFUSED = partial(
     ("xml", "value", "outcome"),
     [
         *((xml, *row) for xml in SHARES.values() for row in ((1, SILENT), (1.02, WARNED), (50, REFUSED))),
-        # Light has any number.
+        # Wavelengths may be infrared, and light has any number.
+        (ball("diffuse", TABLE.replace("360", "850").replace("830", "1700")), 0.5, SILENT),
         (CONSTANT.replace("/>", f">{TABLE.replace('reflectance', 'radiance')}</emitter>"), 50, SILENT),
     ],
 )  # fmt: skip
@@ -498,7 +481,7 @@ def test_reflectance_above_1_is_warned_of_and_above_1_5_refused(
     """With its place."""
     (tmp_path / "a.spd").write_text(f"400 {value}\n700 {value}\n", encoding="utf-8")
     with outcome():
-        plan(tmp_path, xml.format(value))
+        make_render_plan(loaded(CONSTANT, xml.format(value))(tmp_path))
 
 
 @pytest.mark.parametrize(

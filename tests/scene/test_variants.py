@@ -34,13 +34,6 @@ from pixsim.scene.trial import Trial
 from pixsim.scene.variants import graphics, variant
 
 
-def wheel_installed() -> bool:
-    try:
-        return bool(importlib.metadata.version(variant.LLVM_WHEEL))
-    except importlib.metadata.PackageNotFoundError:
-        return False
-
-
 @pytest.fixture
 def fresh(monkeypatch):
     """Clear the cache of `choose`; the variable is set, since another test may have imported
@@ -73,28 +66,23 @@ def fake_llvm(folder: Path, major: int) -> str:
     return compiled(SOURCE.format(major), folder / f"libLLVM-{major}.so")
 
 
-@pytest.mark.parametrize("major", [17, 21])
-def test_llvm_17_and_newer_is_usable(major: int, tmp_path: Path, fresh: pytest.MonkeyPatch) -> None:
-    library = fake_llvm(tmp_path, major)
-    fresh.setenv(variant.LLVM_VARIABLE, library)
-    chosen = variant.choose("llvm_ad_spectral")
-    assert (chosen.variant, chosen.llvm_path) == ("llvm_ad_spectral", library)
-
-
+@pytest.mark.parametrize(
+    ("stated", "systems", "wheels", "expected"),
+    [
+        ([17], [16, 19], [21], "DRJIT_LIBLLVM_PATH, LLVM 17"),
+        ([], [16, 19], [21], "system, LLVM 19"),
+        ([], [16], [21], "karellen-llvm-core, LLVM 21"),
+        ([], [16], [], "no LLVM 17 or newer was found"),
+    ],
+)
 def test_order_of_choice_is_variable_system_wheel(
-    tmp_path: Path, fresh: pytest.MonkeyPatch
+    stated: list[int], systems: list[int], wheels: list[int], expected: str, tmp_path, fresh
 ) -> None:
-    old, stated, system, wheel = (fake_llvm(tmp_path, major) for major in (16, 18, 19, 21))
-    fresh.setattr(variant, "_system_candidates", lambda: [old, system])
-    fresh.setattr(variant, "_wheel_candidates", lambda: [wheel])
-    fresh.setenv(variant.LLVM_VARIABLE, stated)
-    assert variant.find_llvm() == (stated, "DRJIT_LIBLLVM_PATH, LLVM 18")
-    fresh.delenv(variant.LLVM_VARIABLE)
-    assert variant.find_llvm() == (system, "system, LLVM 19")
-    fresh.setattr(variant, "_system_candidates", lambda: [old])
-    assert variant.find_llvm() == (wheel, "karellen-llvm-core, LLVM 21")
-    fresh.setattr(variant, "_wheel_candidates", list)
-    assert variant.find_llvm() == (None, "no LLVM 17 or newer was found")
+    paths = [[fake_llvm(tmp_path, major) for major in majors] for majors in (systems, wheels)]
+    fresh.setattr(variant, "_system_candidates", lambda: paths[0])
+    fresh.setattr(variant, "_wheel_candidates", lambda: paths[1])
+    fresh.setenv(variant.LLVM_VARIABLE, fake_llvm(tmp_path, stated[0]) if stated else "")
+    assert variant.find_llvm()[1] == expected
 
 
 def test_choice_does_not_count_as_the_users_later(
@@ -146,7 +134,9 @@ if sys.platform == "linux":
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc/self/maps")
-@pytest.mark.skipif(not wheel_installed(), reason=f"{variant.LLVM_WHEEL} is not installed")
+@pytest.mark.skipif(
+    not variant._wheel_candidates(), reason=f"{variant.LLVM_WHEEL} is not installed"
+)
 def test_chosen_llvm_is_the_one_that_works(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(variant.LLVM_VARIABLE, raising=False)
     line = [sys.executable, "-c", RENDER]
@@ -193,24 +183,22 @@ def with_llvm(fresh: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("with_llvm")
-def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
-    """No process, and no library: what is left are two looks at the file system."""
+@pytest.mark.parametrize(
+    ("device", "fault"),
+    # A device without its library, as in containers that get the devices alone
+    [("none", graphics.NO_CARD), ("nvidiactl", "cannot be loaded (nowhere.so)")],
+)
+def test_machine_without_card_or_driver_starts_nothing(
+    device: str, fault: str, fresh: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / device).touch()
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
-    fresh.setattr(graphics.ctypes, "CDLL", lambda _: pytest.fail("loaded a library"))
-    assert graphics.graphics_trial() == graphics.GraphicsTrial(graphics.NO_CARD, tried=False)
-    assert variant.choose() == replace(
-        PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}"
-    )
-
-
-def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A device without its library, as in containers that get the devices alone."""
-    (tmp_path / "nvidiactl").touch()
-    fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setattr(graphics, "trial_render", lambda *_, **__: pytest.fail("started a process"))
     fresh.setenv(graphics.DRIVER_VARIABLE, "nowhere.so")
-    assert "cannot be loaded (nowhere.so)" in str(graphics.graphics_trial().fault)
+    fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
+    assert fault in str(graphics.graphics_trial().fault)
+    chosen = variant.choose()
+    assert chosen == replace(PROCESSORS, reason=chosen.reason)
+    assert fault in chosen.reason
 
 
 # --- A driver ---
@@ -363,27 +351,19 @@ CHOSEN = variant.ChosenVariant(
 )
 
 
-class Card:
-    """Traces in place of a card, until it fails."""
-
-    def __init__(self, job: TraceJob, works: int) -> None:
-        assert job.variant == "cuda_ad_spectral"
-        self.tracer = InProcessTracer(replace(job, variant=VARIANT))
-        self.sample_count = self.tracer.sample_count
-        self.works = works
-
-    def trace(self, *arguments: Any) -> np.ndarray:
-        self.works -= 1
-        if self.works < 0:
-            raise pixsim.PixsimError("the card fails.")
-        return self.tracer.trace(*arguments)
-
-
 @pytest.fixture
-def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
-    """Give children a card that works for so many traces."""
+def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
+    """Children trace on processors in place of a card, or their card fails."""
+
+    def tracer(job: TraceJob, works: bool) -> InProcessTracer:
+        assert job.variant == "cuda_ad_spectral"
+        in_process = InProcessTracer(replace(job, variant=VARIANT))
+        if not works:
+            in_process.trace = Mock(side_effect=pixsim.PixsimError("the card fails."))
+        return in_process
+
     return lambda works: monkeypatch.setattr(
-        renderer, "ChildTracer", lambda job, ends_at_s: Card(job, works)
+        renderer, "ChildTracer", lambda job, ends_at_s: tracer(job, works)
     )
 
 
@@ -395,41 +375,40 @@ def light(choice: variant.ChosenVariant) -> pixsim.SpectralImage:
     return pixsim.render(replace(small_scene(), choice=choice))
 
 
-def test_packaged_scene_is_traced_in_child(card: Callable[[int], None]) -> None:
-    card(99)
+def test_packaged_scene_is_traced_in_child(card: Callable[[bool], None]) -> None:
+    card(True)
     images = [light(choice) for choice in (CHOSEN, variant.choose(VARIANT))]
     assert [image.header["variant"] for image in images] == ["cuda_ad_spectral", VARIANT]
     np.testing.assert_array_equal(images[0].illuminance_lx(), images[1].illuminance_lx())
 
 
-def test_failing_card_ends_the_render(card: Callable[[int], None]):
-    card(0)
+def test_failing_card_ends_the_render(card: Callable[[bool], None]):
+    card(False)
     with pytest.raises(
         pixsim.PixsimError, match=r"the card fails\. To render without .*--variant scalar_spectral"
     ):
         light(CHOSEN)
 
 
-def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]) -> None:
+def test_rows_of_a_study_are_of_one_variant(card: Callable[[bool], None]) -> None:
     """A study that goes on where another variant traces evaluates anew, though the pictures are
     equal here.
     """
-    card(99)
-    keys = []
-    for choice in (CHOSEN, variant.choose(VARIANT), CHOSEN):
-        (sensor,) = lit_sensors(tiny(), light(choice), small_scene().camera())
-        keys.append(set(sensor.keys(6.0, 2)))
-    assert keys[0].isdisjoint(keys[1])
-    assert keys[0] == keys[2]
+    card(True)
+    choices = CHOSEN, variant.choose(VARIANT), CHOSEN
+    sensors = [lit_sensors(tiny(), light(choice), small_scene().camera()) for choice in choices]
+    first, other, again = (set(sensor.keys(6.0, 2)) for (sensor,) in sensors)
+    assert first.isdisjoint(other)
+    assert first == again
 
 
 def test_cached_renders_are_of_one_variant(
-    card: Callable[[int], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    card: Callable[[bool], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Renders of a card and of the processors have separate entries, which are found again."""
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
     counts = []
-    for works, choice in ((99, CHOSEN), (0, variant.choose(VARIANT)), (0, CHOSEN)):
+    for works, choice in ((True, CHOSEN), (False, variant.choose(VARIANT)), (False, CHOSEN)):
         card(works)
         scene = replace(small_scene(), choice=choice)
         job = (scene, scene.camera(), make_render_plan(scene), [pixsim.Pixel(pitch_um=100.0)])
