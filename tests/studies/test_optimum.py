@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.claims import Claim
-from helpers.dense_curves import holds, simulated, simulated_even
+from helpers.dense_curves import SimulatedStudy, Truth, holds, simulated, simulated_even
 from helpers.processes import HANG_S
 from helpers.tiny import keys, tiny as tiny_study
 from scipy import integrate, special, stats
@@ -38,7 +37,6 @@ from pixsim.studies.curve import (
     additions,
     next_round,
     next_sensors,
-    next_where_open,
     predicted_variance,
 )
 from pixsim.studies.optimum import (
@@ -551,34 +549,14 @@ def width_um(pitch_um: Array) -> Array:
     return np.sqrt(0.826 * (np.asarray(pitch_um) ** 2 - 5.13**2))
 
 
-def beside_an_end(pitch_um: Array) -> Array:
-    """A minimum of 1 at 5.4 µm, 1.5 % below the value at 5.3 µm; a parabola in the logarithm of the
-    photodiode's width.
+def beside_an_end(seed: int) -> SimulatedStudy:
+    """Of a minimum of 1 at 5.4 µm, 1.5 % below the value at 5.3 µm; a parabola in the logarithm of
+    the photodiode's width.
     """
-    return 1 + 0.26 * np.log(width_um(pitch_um) / width_um(np.array(END_BEST_UM))) ** 2
-
-
-def below_the_sizes(pitch_um: Array) -> Array:
-    return 1 + np.log(pitch_um / 4.0) ** 2
-
-
-def refined(seed: int, curve: Callable[[Array], Array]) -> tuple[FittedCurve, FittedCurve, int]:
-    """The fits at the start and at the end of the rounds that an open end gets, and their number of
-    evaluations.
-    """
-    scatter = 1 + 0.004 * np.random.default_rng(seed).standard_normal((1001, 32))
-    sampling = [START]
-    fits: list[FittedCurve] = []
-    while len(fits) < len(sampling):
-        pitch_um = np.array(list(sampling[-1]))
-        count = np.array(list(sampling[-1].values()))
-        rows = np.round(100 * (pitch_um - 5)).astype(int)
-        is_made = np.arange(count.max()) < count[:, None]
-        delta_e = np.where(is_made, curve(pitch_um)[:, None] * scatter[rows, : count.max()], np.nan)
-        fits.append(fit_curve(pitch_um, delta_e, width_um))
-        more = next_where_open(fits[-1], sampling[-1], sum(START.values()), 32)
-        sampling += [more] * (more != sampling[-1])
-    return fits[0], fits[-1], added({"": START}, {"": sampling[-1]})
+    pitch_um = np.geomspace(NINE_UM[0], NINE_UM[-1], 20_001)
+    curve = 1 + 0.26 * np.log(width_um(pitch_um) / width_um(np.array(END_BEST_UM))) ** 2
+    truth = Truth("beside an end", width_um, np.nan, 0.004, 0.0, np.log(pitch_um), curve)
+    return SimulatedStudy(truth, np.random.default_rng(seed))
 
 
 def test_an_open_end_is_closed_where_the_minimum_is_in_plain_sight() -> None:
@@ -587,12 +565,15 @@ def test_an_open_end_is_closed_where_the_minimum_is_in_plain_sight() -> None:
 
     Of intervals that cover 95 %, fewer than 13 of 16 do with a chance of 0.7 %.
     """
-    fits = [refined(seed, beside_an_end) for seed in range(16)]
-    assert sum(None in first.optimum.interval_um for first, _, _ in fits) >= 8
-    ends_um = [last.optimum.interval_um for _, last, _ in fits]
-    assert sum(None not in interval_um for interval_um in ends_um) >= 13
-    assert sum((low or 0) <= END_BEST_UM <= (high or np.inf) for low, high in ends_um) >= 13
-    assert all(added <= MAX_OPEN for _, _, added in fits)
+    studies = [beside_an_end(seed) for seed in range(16)]
+    first_um = [study.fit(START).optimum.interval_um for study in studies]
+    refined = [study.refined(START, max_sensors=32) for study in studies]
+    last_um = [fit.optimum.interval_um for _, fit in refined]
+    assert sum(None in interval_um for interval_um in first_um) >= 8
+    assert sum(None not in interval_um for interval_um in last_um) >= 13
+    assert sum((low or 0) <= END_BEST_UM <= (high or np.inf) for low, high in last_um) >= 13
+    more = [added({"": START}, {"": sensors}) for sensors, _ in refined]
+    assert max(more) <= MAX_OPEN + MAX_NEAR_BEST
 
 
 def test_intervals_of_all_looks_hold_together_with_the_stated_confidence() -> None:
@@ -626,7 +607,11 @@ def test_interval_of_all_looks_is_that_beside_an_end(least_um: float, ratio: flo
 @pytest.mark.parametrize(
     ("fit", "evaluations"),
     [
-        (refined(0, below_the_sizes)[0], ROUND * SENSORS_PER_ADDITION),
+        (
+            # A minimum at 4 µm.
+            fit_curve(NINE_UM, sensors_of(1 + np.log(NINE_UM / 4.0) ** 2, 2, 0.004), width_um),
+            ROUND * SENSORS_PER_ADDITION,
+        ),
         (
             # Two powers of the size, least at 8 µm: half the interval is 3 % of it, all between the
             # sizes.
