@@ -195,20 +195,18 @@ def test_study_cached_frames_same_bytes(
     pitch = {"values_um": [10.0, 12.0, 14.0, 17.0, 20.0]}
     study = tiny(repeats=2, pitch=pitch, resolution=128, **frames)
 
-    def bytes_of_rows(name: str) -> bytes:
-        pixsim.study(study, tmp_path / name, jobs=1)
-        return (tmp_path / name / "results.csv").read_bytes()
-
-    cold = bytes_of_rows("cold")
-    assert all(0.3 < float(row["saturated_fraction"]) < 0.999 for row in rows(tmp_path / "cold"))
+    pixsim.study(study, tmp_path / "cold", jobs=1)
+    cold = rows(tmp_path / "cold")
+    assert all(0.3 < float(row["saturated_fraction"]) < 0.999 for row in cold)
     with monkeypatch.context() as patch:
         patch.setattr(evaluate_module, "chain_of", lambda *_: pytest.fail("light on the pixels"))
-        assert bytes_of_rows("cached") == cold
+        pixsim.study(study, tmp_path / "cached", jobs=1)
     for path in (tmp_path / "cache/frames").iterdir():
         arrays = cache.arrays("frames", path.stem) or {}
         planes = {part: array for part, array in arrays.items() if array.ndim == 2}
         cache.store_arrays("frames", path.stem, planes)  # without the mean of its electrons
-    assert bytes_of_rows("damaged") == cold
+    pixsim.study(study, tmp_path / "damaged", jobs=1)
+    assert rows(tmp_path / "cached") == rows(tmp_path / "damaged") == cold
 
 
 KEY = ("study", 1, "0.35um", 6.5, 0, "frame")
