@@ -512,8 +512,19 @@ def test_standard_errors_match_repeats() -> None:
     """
     pixel = Pixel(pitch_um=5.3, bits=12)
     tables = [by_symbol(make_datasheet(pixel, seed=seed, **SMALL)) for seed in range(10)]
-    symbols = "K η σ_d μ_I.mean μ_I.var DSNU_1288 PRNU_1288 σ_temp σ_fp σ_total ϑ_d"
-    for symbol in symbols.split():
+    for symbol in [
+        "K",
+        "η",
+        "σ_d",
+        "μ_I.mean",
+        "μ_I.var",
+        "DSNU_1288",
+        "PRNU_1288",
+        "σ_temp",
+        "σ_fp",
+        "σ_total",
+        "ϑ_d",
+    ]:
         lines = [table[symbol] for table in tables]
         pulls = [(line.measured - line.true) / line.standard_error for line in lines]
         assert 0.4 < math.sqrt(np.mean(np.square(pulls))) < 1.8, (symbol, pulls)

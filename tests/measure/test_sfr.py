@@ -79,8 +79,7 @@ def test_offset_gain_and_region_do_not_change_the_sfr() -> None:
     check(
         "gain", edge_response(3 * gaussian_edge() + 500).sfr, edge.sfr, atol=1e-12, why="rounding"
     )
-    contrast = (LIGHT - DARK) / (LIGHT + DARK)
-    check("contrast", edge.contrast, contrast, rtol=1e-6, why="tails")
+    check("contrast", edge.contrast, (LIGHT - DARK) / (LIGHT + DARK), rtol=1e-6, why="tails")
     part = edge_response(gaussian_edge(), region=(60, 40, 260, 280))
     numbers = [part.mtf50_cy_per_px, part.at_nyquist]
     wanted = [TRUE_MTF50, float(gaussian_mtf(np.array(0.5)))]
@@ -223,8 +222,7 @@ def test_curved_edge_has_the_mtf_of_a_straight_one(name: str) -> None:
         check_mtf(edge, gaussian_mtf, 1e-3)
         assert edge.edge_degree == degree
         rows = np.linspace(-1, 1, SIDE)[(SIDE - edge.rows_used) // 2 :][: edge.rows_used]
-        chord = np.interp(rows, rows[[0, -1]], bow(rows[[0, -1]]))
-        sagitta_px = np.abs(bow(rows) - chord).max()
+        sagitta_px = np.abs(bow(rows) - np.interp(rows, rows[[0, -1]], bow(rows[[0, -1]]))).max()
         check("sagitta", edge.edge_sagitta_px, sagitta_px, rtol=0.03, why="the slant")
     if degree == 2:
         green = edge_response(mosaic("RG/GB", picture), layout="RG/GB", channel="G")
@@ -411,8 +409,7 @@ def test_python_and_the_command_write_same_files(tmp_path: Path) -> None:
     assert edge.mtf50_cy_per_px != sfr(path).mtf50_cy_per_px
     summary = json.loads(out)
     assert summary == json.loads((tmp_path / "o/summary.json").read_text())
-    per_mm = 200 * edge.mtf50_cy_per_px
-    check("cy/mm", summary["mtf50_cy_per_mm"], per_mm, rtol=1e-9, why="5 µm")
+    check("cy/mm", summary["mtf50_cy_per_mm"], 200 * edge.mtf50_cy_per_px, rtol=1e-9, why="5 µm")
     edge.write(tmp_path / "python")
     for file in {*(tmp_path / "o").iterdir()} - {tmp_path / "o/pixsim.json"}:
         assert (tmp_path / "python" / file.name).read_bytes() == file.read_bytes(), file.name

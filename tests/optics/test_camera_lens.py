@@ -613,8 +613,7 @@ def test_f_number_stops_down_and_the_widest_is_named() -> None:
 @pytest.mark.parametrize("pupil_mm", [9.123456785, 3.857109995, 4.999999996])
 def test_lens_is_its_own_widest_at_any_scale(pupil_mm: float, tmp_path: Path) -> None:
     """Its f-number in nine digits is not below the widest, whatever the digits."""
-    text = re.sub("value_mm = .*", f"value_mm = {pupil_mm}", SINGLET)
-    (tmp_path / "thin.toml").write_text(text)
+    (tmp_path / "thin.toml").write_text(re.sub("value_mm = .*", f"value_mm = {pupil_mm}", SINGLET))
     camera = with_lens(tmp_path / "thin.toml", 1.0, focal_length_mm=20.0, refocus="paraxial")
     first = load_lens(tmp_path / "thin.toml").first_order(587.56)
     assert camera.lens.f_number == pytest.approx(first.f_number, rel=1e-3)

@@ -216,12 +216,11 @@ def test_tables_of_a_lens(field: str, text: str, words: str, tmp_path: Path) -> 
         Camera(f_number=1.4, **{field: tmp_path / "table.csv"})
 
 
-FALLS = ((0.0, 1.0), (3.0, 0.5))
 REFUSED: list[tuple[str, Callable[[], object], str]] = [
     ("focus", lambda: Camera(focal_length_mm=50.0, object_distance_m=0.05), "focal_length_mm = 50 is not shorter"),
     ("magnified", lambda: Camera(focal_length_mm=50.0, object_distance_m=0.05000000001), "magnifies"),
     ("working f-number", lambda: Camera(f_number=0.45), "f_number = 0.45 is too small"),
-    ("two fall-offs", lambda: Camera(fall_off=FALLS, chief_ray_angle=[(*row, 1.0) for row in ROWS]), "one of them"),
+    ("two fall-offs", lambda: Camera(fall_off=((0.0, 1.0), (3.0, 0.5)), chief_ray_angle=[(*row, 1.0) for row in ROWS]), "one of them"),
     ("window", lambda: Camera(die_mm=2.0).window(3.0), "window_mm: got 3"),
     ("no pitch", lambda: CameraOptions(pixels=(20, 10)).over(Camera()), "camera.pixels: got"),
     ("larger die", lambda: CameraOptions(chief_ray_angle=ROWS, die_mm=3.0).over(Camera()), "2.1214 mm"),
