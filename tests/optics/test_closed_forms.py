@@ -341,6 +341,12 @@ DARK = np.zeros((8, 8))
 DIFFRACTION = [
     Claim("cut-off 1/(λN)", lambda: optics.cutoff_cy_per_mm(500.0, 4.0), 500.0, rtol=1e-15),
     Claim(
+        "cut-off and OTF half way to it in the infrared",
+        lambda: [optics.cutoff_cy_per_mm(1000.0, 4.0), float(optics.diffraction_otf(125.0, 1000.0, 4.0))],
+        [250.0, 2 / 3 - np.sqrt(3) / (2 * np.pi)],
+        rtol=1e-14,
+    ),
+    Claim(
         "OTF: 1, half way, beyond",
         lambda: optics.diffraction_otf([0.0, 250.0, -250.0, 500.0, 1e9], 500.0, 4.0),
         [1, 2 / 3 - np.sqrt(3) / (2 * np.pi), 2 / 3 - np.sqrt(3) / (2 * np.pi), 0, 0],

@@ -98,6 +98,17 @@ def test_plan_states_the_tiles_and_their_error(singlet: Rendered) -> None:
     assert pixsim.Camera(**image.header["camera"]) == camera
 
 
+def test_corners_are_blurred_more_than_the_middle(singlet: Rendered) -> None:
+    # By traced rays within cells of 62.5 µm white noise keeps 43 % of its contrast in the corners
+    # and 90 % in the middle: 0.48 times as much. The lens changes by a quarter over 16 cells.
+    _, camera, _, image = singlet
+    noise = 1 + 0.3 * np.random.default_rng(0).standard_normal(image.planes.shape)
+    rate = diffracted_rate(image.with_planes(noise), camera, pixsim.derive(PIXEL))
+    corners = [rate[rows, columns] for rows in np.s_[:16, -16:] for columns in np.s_[:16, -16:]]
+    middle, *others = (part.std() / part.mean() for part in (rate[32:64, 32:64], *corners))
+    assert np.mean(others) / middle == pytest.approx(0.48, rel=0.25)
+
+
 def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
     """Photodiodes average what finer films add."""
     scene, camera = through("cooke_triplet", 0.5, 64)

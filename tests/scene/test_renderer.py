@@ -114,8 +114,7 @@ def grating(
     x = (np.arange(16384) + 0.5) / 16384
     wave = 0.5 * (1 + 0.9 * np.sin(2 * np.pi * frequency_lp_per_mm * charts.DIE_MM * x))
     pixsim.write_chart(folder / "sine.exr", np.tile(wave.astype(np.float32), (2, 1)))
-    height = '<integer name="height" value="{}"/>'
-    rows = (height.format("$resolution"), height.format(16))
+    rows = ('name="height" value="$resolution"', 'name="height" value="16"')
     path = edited(folder, "csf", rows)
     scene = pixsim.load_scene(path, chart=str(folder / "sine.exr"), resolution=1024)
     return pixsim.render(scene, camera)
