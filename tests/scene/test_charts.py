@@ -138,7 +138,6 @@ def decoded(values: np.ndarray) -> np.ndarray:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-# suffix, writer, what it writes, and the error of the format: RGBE has 8 bits of the largest
 def write_palette(path: Path, values: np.ndarray) -> None:
     Image.fromarray(values).convert("P", palette=Image.Palette.ADAPTIVE).save(path)
 

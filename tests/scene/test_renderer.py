@@ -114,8 +114,7 @@ def grating(
     x = (np.arange(16384) + 0.5) / 16384
     wave = 0.5 * (1 + 0.9 * np.sin(2 * np.pi * frequency_lp_per_mm * charts.DIE_MM * x))
     pixsim.write_chart(folder / "sine.exr", np.tile(wave.astype(np.float32), (2, 1)))
-    rows = ('name="height" value="$resolution"', 'name="height" value="16"')
-    path = edited(folder, "csf", rows)
+    path = edited(folder, "csf", ('name="height" value="$resolution"', 'name="height" value="16"'))
     scene = pixsim.load_scene(path, chart=str(folder / "sine.exr"), resolution=1024)
     return pixsim.render(scene, camera)
 
@@ -134,7 +133,6 @@ def mean_electrons(image, camera, pixel) -> np.ndarray:
     return frame.mean_e.mean(axis=0) / frame.integration_s
 
 
-# Through each lens, the last of which is at |m| = 0.24, on a photodiode finer and coarser than it
 # Through each lens, the last of which is at |m| = 0.24, on a photodiode finer and coarser than it
 @pytest.mark.parametrize("pitch_um", [5.3, 15.0])
 @pytest.mark.parametrize(
