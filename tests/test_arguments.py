@@ -5,8 +5,6 @@ A call raises PixsimError that names the argument, or returns a result without N
 another kind than the annotation's must raise.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

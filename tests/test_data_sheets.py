@@ -2,8 +2,6 @@
 simulated measurement returns.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import warnings

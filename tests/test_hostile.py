@@ -4,8 +4,6 @@ partial files.
 Scenes are in test_hostile_scenes.py.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -2,8 +2,6 @@
 judged, or is refused.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -2,8 +2,6 @@
 code, nothing half or left.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

@@ -2,8 +2,6 @@
 leave it as it was.
 """
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os

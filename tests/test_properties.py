@@ -5,8 +5,6 @@ The strategies read the bounds from the records, so that new fields are covered.
 the same in every run.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

@@ -6,8 +6,6 @@ ones, no other, each with its value and what is allowed. It is the same for a co
 a TOML file and a command line. Nothing is written.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

@@ -2,8 +2,6 @@
 they are in use; and modules that are loaded when they are used.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import mmap

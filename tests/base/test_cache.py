@@ -1,7 +1,5 @@
 """The cache returns what was stored, or computes it again; it removes its own entries only."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math

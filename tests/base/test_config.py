@@ -2,8 +2,6 @@
 studies, and sensors from data sheets.
 """
 
-from __future__ import annotations
-
 from copy import deepcopy
 from operator import attrgetter
 from pathlib import Path

@@ -2,8 +2,6 @@
 and stay; nothing goes through a link of others; files of results state their schema.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

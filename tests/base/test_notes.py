@@ -2,8 +2,6 @@
 life.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import math

@@ -4,8 +4,6 @@ ends of their range in functions and free tables; and that no message quotes a f
 Single fields are in tests/test_refusals.py.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 exit codes and verbosity.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

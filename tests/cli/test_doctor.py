@@ -1,7 +1,5 @@
 """The doctor on machines that lack something, or whose Mitsuba aborts, hangs or renders wrongly."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -2,8 +2,6 @@
 error for what is wrong. tests/optics has all kinds of faults.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

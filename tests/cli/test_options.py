@@ -1,7 +1,5 @@
 """The help of options that are text, lists of formats, completion, and folders that are missing."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

@@ -2,8 +2,6 @@
 factors and bands, in parts and as a whole.
 """
 
-from __future__ import annotations
-
 import copy
 import pickle
 import subprocess

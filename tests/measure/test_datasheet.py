@@ -2,8 +2,6 @@
 measured values beside true ones, and their errors.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterable

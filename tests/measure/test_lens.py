@@ -1,7 +1,5 @@
 """The numbers of `pixsim lens` against closed forms and rays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

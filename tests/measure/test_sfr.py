@@ -1,7 +1,5 @@
 """e-SFR of edges whose MTF is known in closed form, and of pictures of other programs."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Callable

@@ -3,8 +3,6 @@ conservation of light; real lenses in a camera, against their rays, the thin len
 them, and the closed forms of a thin real lens.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

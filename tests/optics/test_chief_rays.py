@@ -2,8 +2,6 @@
 settings; directions and light that follow from them; cameras that are refused.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib

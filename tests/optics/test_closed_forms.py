@@ -5,8 +5,6 @@ Extremes are in pixsim.verification.extreme_cases; ISETCam's numbers and a path 
 tests/references.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Files of OpenEXR, NumPy and SPy read as irradiance on the sensor, or refused by their cause."""
 
-from __future__ import annotations
-
 import math
 import re
 import zipfile

@@ -2,8 +2,6 @@
 of a file where it belongs, or refused by its cause; names and catalogues of glasses.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -2,8 +2,6 @@
 each setting makes the stages anew that depend on it, and no others. Studies of colour filters.
 """
 
-from __future__ import annotations
-
 import json
 import weakref
 from pathlib import Path

@@ -2,8 +2,6 @@
 and their weighted mean, and other displays.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace

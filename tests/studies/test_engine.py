@@ -1,7 +1,5 @@
 """Workers: results do not depend on them, and no finished row is lost or computed twice."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

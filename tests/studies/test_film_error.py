@@ -3,8 +3,6 @@ its numbers, and it asks for a finer film where one is needed; the lights of a s
 film is measured with the most light.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 sensors, whose frames are those of `pixsim.evaluate`.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 rows that are resumed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import pickle

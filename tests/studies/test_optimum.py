@@ -2,8 +2,6 @@
 the target interval, reproducible however the study is run.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -2,8 +2,6 @@
 what another study over it, whose axes are moved alone, does to these statements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ and sensor types, with the name of the setting and the cause.
 Each option of a study acts in a comparison and in a sweep too, is named, or is refused. Rules of axes, comparisons and sweeps: test_refusals.py.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import warnings

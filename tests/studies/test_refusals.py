@@ -4,8 +4,6 @@ name of the argument and the cause.
 Single fields out of range or of another type: tests/test_refusals.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -2,8 +2,6 @@
 frames are paired, or it is said what differs.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -2,8 +2,6 @@
 is known; and in studies and comparisons, where each type has the rows of its own numbers.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -2,8 +2,6 @@
 table of evaluations, its file, and the memory of many; and results that release 1.0.0 wrote.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re

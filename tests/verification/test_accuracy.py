@@ -2,8 +2,6 @@
 its known answer without a warning, its numbers are those of closed forms, and wrong kernels fail.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 to the whole; further causes, and notes: when each is named, how large a cause is, and what comes first.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Kernels of the viewer against closed forms, published numbers and colour-science."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

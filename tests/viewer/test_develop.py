@@ -2,8 +2,6 @@
 the order of the steps of development, and what each does to signal and noise.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

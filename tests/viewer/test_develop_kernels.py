@@ -2,8 +2,6 @@
 against another optimiser, in its limits, with noise, and in the bands of a picture.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import product

@@ -2,8 +2,6 @@
 white of a scene that states none, and dark pixels that are clipped at 0 DN; and limits of the whole score.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from typing import Any

@@ -2,8 +2,6 @@
 forms of the kernels stand in test_closed_forms.py.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Refusals of rules across arguments and fields: a row for each, with the argument and the cause."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -3,8 +3,6 @@ Closed forms stand in test_closed_forms.py, the authors' maps in
 tests/references/test_scielab_judge.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

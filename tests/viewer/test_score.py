@@ -2,8 +2,6 @@
 large films.
 """
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from collections.abc import Callable

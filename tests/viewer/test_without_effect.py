@@ -1,7 +1,5 @@
 """No setting does nothing in silence: it changes the result, or a message names it."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

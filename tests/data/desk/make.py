@@ -1,7 +1,5 @@
 """Write the meshes and pictures of desk.xml into this folder: python tests/data/desk/make.py"""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import matplotlib.image
