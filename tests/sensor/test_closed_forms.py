@@ -171,9 +171,6 @@ def charge_key(kelvin: float, **more: float) -> str:
     return pixel_035(temperature_k=kelvin, stack=stack).charge.content_hash
 
 
-CHARGES = [{}, {"depletion_um": 1.0, "diffusion_length_um": 20.0}]
-
-
 def diffusing(kelvin: float) -> float:
     """MTF of charge at 50 cy/mm and 850 nm."""
     stack = {
@@ -188,7 +185,6 @@ def diffusing(kelvin: float) -> float:
     return float(mtf(np.array([50.0]), 850.0)[0])
 
 
-ALPHA_L = 0.5 * 20.0
 SILICON = [
     Claim(
         "absorption lengths of Green (2008), µm",
@@ -219,7 +215,7 @@ SILICON = [
     Claim(
         "MTF of fine detail is the share of the depletion region",
         lambda: diffusion_mtf(1e9, 0.5, 1.0, 20.0),
-        (1 - math.exp(-0.5)) / (1 - math.exp(-0.5) + math.exp(-0.5) * ALPHA_L / (1 + ALPHA_L)),
+        (1 - math.exp(-0.5)) / (1 - math.exp(-0.5) + math.exp(-0.5) * 10.0 / 11.0),
         rtol=1e-6,
         why="L = 1.6e-7 µm is left",
     ),
@@ -240,7 +236,10 @@ SILICON = [
     ),
     Claim(
         "temperature changes the key of charge that diffuses, and of no other",
-        lambda: [charge_key(300.15, **more) == charge_key(330.0, **more) for more in CHARGES],
+        lambda: [
+            charge_key(300.15, **more) == charge_key(330.0, **more)
+            for more in ({}, {"depletion_um": 1.0, "diffusion_length_um": 20.0})
+        ],
         [1, 0],
     ),
     Claim(
@@ -353,7 +352,6 @@ def peak_of_clipped_variance_e(well_e: float) -> float:
 
 LEVELS = np.linspace(-20.0, 20.0, 41)
 FIRST, SECOND = clipped_moments(LEVELS, 3.0, 0.0)
-BESIDE = np.array([-1.000001, -0.999999, 0.999999, 1.000001])
 CODES = [
     Claim(
         f"{name} of codes at {level:g} ± {sigma:g} of 0 … {top}",
@@ -407,7 +405,14 @@ CODES = [
     ),
     Claim(
         "the nearest level that counts as far from the clip joins the others",
-        lambda: np.diff(clipped_moments(3.0 * CLIP_REACH * BESIDE + 100.0, 3.0, 100.0)[0])[[0, 2]],
+        lambda: [
+            np.diff(
+                clipped_moments(
+                    100.0 + side * CLIP_REACH * np.array([2.999997, 3.000003]), 3.0, 100.0
+                )[0]
+            )[0]
+            for side in (-1, 1)
+        ],
         [0.0, 0.0],
         atol=1e-4,
         why="2e-6 of 24",
@@ -709,8 +714,6 @@ LAYOUT = [
 
 DIODE = default_diode()
 SHALLOW = replace(DIODE, reset_voltage_v=0.1)
-TINY = replace(DIODE, saturation_current_e_per_s=5e-324)
-DARKLESS = replace(DIODE, saturation_current_e_per_s=0.0)
 CHARGES_E = np.logspace(-9, 20, 30)
 CURRENTS_E_PER_S = np.logspace(-3, 17, 41)[:, None]
 TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
@@ -741,14 +744,20 @@ PHOTODIODES = [
     ),
     Claim(
         "open-circuit bias -V_T ln(1 + i/I_s) of dim light, and where the ratio overflows",
-        lambda: [DIODE.open_circuit_v(1e-12), TINY.open_circuit_v(1e17)],
+        lambda: [
+            DIODE.open_circuit_v(1e-12),
+            replace(DIODE, saturation_current_e_per_s=5e-324).open_circuit_v(1e17),
+        ],
         -DIODE.thermal_v
         * np.array([1e-12 / DIODE.saturation_current_e_per_s, math.log(1e17) - math.log(5e-324)]),
         rtol=1e-6,
     ),
     Claim(
         "open-circuit bias without light, and without a diode current",
-        lambda: [DIODE.open_circuit_v(0.0), DARKLESS.open_circuit_v(1.0)],
+        lambda: [
+            DIODE.open_circuit_v(0.0),
+            replace(DIODE, saturation_current_e_per_s=0.0).open_circuit_v(1.0),
+        ],
         [0.0, -math.inf],
     ),
     Claim("kT/q at 27 °C", lambda: DIODE.thermal_v, boltzmann * 300.15 / electron, rtol=1e-12),
@@ -897,10 +906,6 @@ def sensitivity_e_per_lx_s_um2(reading: Any, cut_nm: float | None) -> float:
     return float((efficiency * photons_per_joule(nm) * d65(nm)).sum() / illuminance_lx * 1e-12)
 
 
-def sheet_dark_e_per_s(**options: Any) -> float:
-    return physics(**{"dark_current_e_per_s": None} | options).dark_current_e_per_s
-
-
 ENERGY_NM, ENERGY = camera_sensitivities("Canon_EOS_R5")
 RESPONSE = [
     *(
@@ -961,10 +966,11 @@ RESPONSE = [
     Claim(
         "GSENSE400BSI: 1 e-/s at 0 °C doubles each 9.884 K, 0.03 at -50 °C",
         lambda: [
-            sheet_dark_e_per_s(
+            physics(
+                dark_current_e_per_s=None,
                 dark_current={"e_per_s": 1.0, "at_c": 0.0, "doubling_k": 9.884},
                 temperature_k=273.15 + at_c,
-            )
+            ).dark_current_e_per_s
             for at_c in (0.0, -50.0, 9.884)
         ],
         [1.0, 0.03, 2.0],
@@ -982,20 +988,20 @@ RESPONSE = [
     ),
     Claim(
         "relative responses are to energy: QE = S/λ, the largest at the stated peak",
-        lambda: colour_physics("Canon_EOS_R5").channels[0].quantum_efficiency(ENERGY_NM),
+        lambda: (
+            physics(
+                quantum_efficiency=None,
+                colour={"sensitivities": "Canon_EOS_R5", "peak_quantum_efficiency": 0.4},
+            )
+            .channels[0]
+            .quantum_efficiency(ENERGY_NM)
+        ),
         ENERGY[:, 0] / ENERGY_NM * 0.4 / (ENERGY / ENERGY_NM[:, None]).max(),
         rtol=1e-12,
     ),
 ]
 
 
-def colour_physics(camera: str) -> PixelPhysics:
-    colour = {"sensitivities": camera, "peak_quantum_efficiency": 0.4}
-    return derive(Pixel.model_validate(NOISY | {"quantum_efficiency": None, "colour": colour}))
-
-
-GAIN = 10 ** (12 / 20)
-AMPLIFIED = Exposure(gain_db=12.0)
 DN_PER_E = (2**14 - 1 - 1000) / 40_000
 TEMPORAL_E2 = 30.0**2 + 80.0**2 + 20.0**2
 FIXED_E2 = (0.02 * SIGNAL_E) ** 2 + (0.3 * DARK_E) ** 2 + 160.0**2 + 80.0**2
@@ -1082,8 +1088,8 @@ READING = [
     ),
     Claim(
         "noise floor: read noise behind the amplifier falls with the gain",
-        lambda: [readout().noise_floor_e, readout(exposure=AMPLIFIED).noise_floor_e],
-        [math.sqrt(TEMPORAL_E2), math.sqrt(30.0**2 + (80.0 / GAIN) ** 2 + 20.0**2)],
+        lambda: [readout().noise_floor_e, readout(exposure=Exposure(gain_db=12.0)).noise_floor_e],
+        [math.sqrt(TEMPORAL_E2), math.sqrt(30.0**2 + (80.0 / 10**0.6) ** 2 + 20.0**2)],
         rtol=1e-12,
     ),
     Claim(
@@ -1341,8 +1347,7 @@ CORRECTIONS = [
     ),
 ]
 
-DIE = {"die_mm": 0.4, "object_distance_m": 0.5, "focal_length_mm": 4.0}
-THIN = Camera(**DIE)
+THIN = Camera(die_mm=0.4, object_distance_m=0.5, focal_length_mm=4.0)
 ROLLING = Exposure(integration_s=1e-3, shutter="rolling", line_time_us=10.0)
 FAST = Motion(image_um_per_s=(0.0, -4e3))
 

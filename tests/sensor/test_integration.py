@@ -37,7 +37,6 @@ from pixsim.sensor.pixel_options import Pixel
 DIE_UM = 2713.6
 NM = np.array([420.0, 530.0, 660.0])
 WIDTH_NM = np.array([40.0, 60.0, 50.0])
-NO_LENS = {"diffraction": False}
 
 
 def cell_means(antiderivative: Callable[[Any], Any], n: int, length: float) -> np.ndarray:
@@ -82,7 +81,6 @@ def limited_crests(low: np.ndarray) -> np.ndarray:
 OMEGA = 2 * np.pi / 5
 CRESTS = np.arange(20.0, 180.0, 0.37)
 STEEP = np.exp(np.linspace(0, 7 * np.log(10), 200))[:, None] * np.ones(8)
-TINY = [seeded(0).uniform(0.5, 1.5, shape) for shape in ((1, 1), (1, 9), (9, 1), (2, 3))]
 PHOTODIODES = [
     *(
         Claim(
@@ -111,7 +109,7 @@ PHOTODIODES = [
             samples,
             rtol=1e-13,
         )
-        for samples in TINY
+        for samples in (seeded(0).random(shape) for shape in ((1, 1), (1, 9), (9, 1), (2, 3)))
     ),
     *(
         Claim(
@@ -331,17 +329,17 @@ def waves(x: np.ndarray) -> np.ndarray:
     return 3 * x - 20 / np.pi * np.cos(2 * np.pi * x / 23.0 + 0.4)
 
 
-BAYER = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
-
-
-@pytest.mark.parametrize("colour", [None, BAYER])
+@pytest.mark.parametrize(
+    "colour",
+    [None, {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}],
+)
 def test_signal_is_the_light_at_the_registered_places(colour: dict[str, Any] | None) -> None:
     """The pixels' own intervals of the running integral, in the ratio of their light, which is the
     same for all pixels of a channel; 0.01 pixel off gives 1e-3.
     """
     borders = np.arange(121.0)
     plane = np.outer(2 * np.diff(waves(borders / 2)), np.diff(waves(borders)))
-    image = SpectralImage([550.0], 10.0, 1.0, data=plane[..., None], header=NO_LENS)
+    image = SpectralImage([550.0], 10.0, 1.0, data=plane[..., None], header={"diffraction": False})
     options = {"pitch_um": 6.5, "infrared_cut_nm": 700.0, "colour": colour}
     physics = derive(Pixel(**options, registration=(0.3, 0.8)))
     signal = mean_signal_rate(image, Camera(die_mm=0.12), physics)
@@ -388,10 +386,6 @@ def electrons(efficiency: float, nm: Any) -> float:
     return float(np.sum(efficiency * np.asarray(nm) * 1e-9 / (planck * light_speed)))
 
 
-def technology_efficiency(technology: str, nm: float) -> float:
-    return float(derive(Pixel(pitch_um=8.0, technology=technology)).quantum_efficiency(nm))
-
-
 NODES_NM = 645.5 + np.arange(10.0)
 LINE_NM = np.where(np.arange(10) == 5, 650.0, NODES_NM)
 SAMPLES = SpectralImage(
@@ -401,7 +395,6 @@ SAMPLES = SpectralImage(
     data=seeded(0).uniform(0.5, 1.5, (4, 4, 30)).astype(np.float32),
 )
 WEIGHT = integration.electrons_per_joule(derive(Pixel(pitch_um=20.0)), SAMPLES) * 1e-12
-IN_TENTHS = [NODES_NM], [np.full(10, 0.1)]
 BANDS = [
     *(
         Claim(
@@ -409,7 +402,7 @@ BANDS = [
             lambda nm=nm, technology=technology: per_joule(
                 530.0, ([[nm]], [[1.0]]), technology=technology
             ),
-            electrons(technology_efficiency(technology, nm), nm),
+            electrons(derive(Pixel(technology=technology)).quantum_efficiency(nm), nm),
             rtol=1e-6,
         )
         for technology in ("0.35um", "4t-bsi")
@@ -428,7 +421,10 @@ BANDS = [
         Claim(
             f"the same in ten parts, cut at {cut_nm:g} nm",
             lambda cut_nm=cut_nm: per_joule(
-                650.0, IN_TENTHS, quantum_efficiency=0.5, infrared_cut_nm=cut_nm
+                650.0,
+                ([NODES_NM], [np.full(10, 0.1)]),
+                quantum_efficiency=0.5,
+                infrared_cut_nm=cut_nm,
             ),
             electrons(0.05, NODES_NM[cut_nm > NODES_NM]),
             rtol=1e-12,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pixsim import datasheet
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -394,6 +395,10 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
     # numbers in another unit
     "PRNU in per cent": (lambda: Pixel(prnu=0.5), "Write prnu = 0.005"),
     "fill factor in per cent": (lambda: Pixel(fill_factor=60.0), "Write fill_factor = 0.6"),
+    "data sheet at a metered gain": (
+        lambda: datasheet("4t-bsi", pixel={"pitch_um": 3.0}, exposure={"gain_db": "auto"}),
+        "gain_db",
+    ),
     "QE in per cent": (lambda: Pixel(quantum_efficiency=62.0), "0.62"),
 }
 
