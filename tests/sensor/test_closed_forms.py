@@ -1,7 +1,5 @@
 """Closed forms of pixels, silicon, noise, readout, exposure and motion: a row each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

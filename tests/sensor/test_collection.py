@@ -2,8 +2,6 @@
 and efficiencies of whole pixels.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import product
 from typing import Any

@@ -5,8 +5,6 @@ Statistical gates are 5 standard errors with fixed seeds: 6e-7 false alarms each
 A burst that loses 1 % of an exposure's variance, or 0.2 of its electrons, is outside of them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct

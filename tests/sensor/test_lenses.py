@@ -2,8 +2,6 @@
 PSFs, stacks against traced rays, and veiling glare against closed forms of a hole in white.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from functools import cache

@@ -2,8 +2,6 @@
 moved form is known and the lamp's light over each exposure.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from typing import Any

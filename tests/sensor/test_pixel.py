@@ -2,8 +2,6 @@
 notes say of both.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

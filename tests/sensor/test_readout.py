@@ -4,8 +4,6 @@ Statistical gates are 5 standard errors with fixed seeds: 6e-7 false alarms each
 Of 100 000 columns of 4 pixels they see 1 % of a variance, and 0.01 σ of a mean.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Rules across fields, and combinations that no pixel, sensor or exposure can have: a row each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
