@@ -420,6 +420,7 @@ with output_folder("out") as out, replacing(out / "a.txt") as part, publishing(o
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))]
 )
+@pytest.mark.slow
 def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(
     seed: int, tmp_path: Path
 ) -> None:

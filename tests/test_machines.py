@@ -59,6 +59,8 @@ def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPa
     assert results == [(0, os.getpid()), (2, os.getpid()), (4, os.getpid())]
 
 
+# whole processes; test_without_what_windows_lacks_all_is_imported_and_light_evaluated is a machine that lacks something
+@pytest.mark.slow
 def test_few_open_files_are_a_message(tmp_path: Path) -> None:
     """The limit that the command starts with does for one process, but not for workers."""
     (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
@@ -168,6 +170,8 @@ command()
 """
 
 
+# test_without_what_windows_lacks_all_is_imported_and_light_evaluated lacks more
+@pytest.mark.slow
 def test_without_what_macos_lacks_light_is_run_into_a_folder(tmp_path: Path) -> None:
     hidden = systems.missing("os", systems.MACOS)
     assert hidden is not None
@@ -262,6 +266,8 @@ print(sorted(results_of(operator.add, [(task, int) for task in (1, 2, 3)], Worke
 """
 
 
+# test_no_module_of_the_current_folder_is_run has the claim
+@pytest.mark.slow
 def test_empty_parts_of_variables_are_not_the_current_folder(folder: Path) -> None:
     """Of PYTHONPATH and PATH; but for what Python itself imports before the first line of a
     command.

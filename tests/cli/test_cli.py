@@ -199,6 +199,8 @@ def test_run_failure_preserves_earlier_results(desk: Path) -> None:
     assert contents(desk) == before
 
 
+# a whole process; test_command_invalid_input_gives_one_message_and_no_files has the messages
+@pytest.mark.slow
 def test_installed_command_invalid_input_gives_same_message(desk: Path) -> None:
     line = "run flat -D chart=nan.exr"
     before = contents(desk)

@@ -410,7 +410,7 @@ def test_silent_connections_are_few_and_end(monkeypatch):
                 connection.sendall(b"GET / HTTP/1.1\r\n")
                 assert connection.recv(1) == b""
         opened.send("{}")
-        assert "no request" in json.loads(opened.recv(timeout=HANG_S))["error"]
+        assert "not a request" in json.loads(opened.recv(timeout=HANG_S))["error"]
 
 
 def test_file_of_a_killed_server_goes_at_the_next_start(tmp_path, monkeypatch):
@@ -514,6 +514,8 @@ def changed(tab: Tab, script: str, before: str) -> str:
     return tab.value(UNDER)
 
 
+# a browser; test_wrong_token_is_refused has the token
+@pytest.mark.slow
 def test_token_leaves_the_address(tab):
     assert tab.value("[location.hash, document.cookie]") == ["", ""]
 

@@ -529,6 +529,8 @@ def test_standard_errors_match_repeats() -> None:
 
 
 @pytest.mark.parametrize("colour", [{}, {"pattern": "stacked"}], ids=["mosaic", "stacked"])
+# test_standard_errors_match_repeats has the claim
+@pytest.mark.slow
 def test_standard_errors_of_colour_match_repeats(colour: dict[str, object]) -> None:
     """Six devices: of 8 quantities, a false alarm in 250 runs of new seeds."""
     pixel = colour_pixel(colour=D5100 | colour)

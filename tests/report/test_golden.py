@@ -225,6 +225,8 @@ def test_run_page_embeds_the_written_pictures_and_enlarges_them(
 
 
 @needs_browser
+# a browser; test_terminal_and_page_are_golden has the pages' content
+@pytest.mark.slow
 def test_pages_fit_screens(answer: Callable[[str], Answer], tmp_path: Path) -> None:
     """The sliders' pictures lie on the sides that the pages say; details are shown dot by dot."""
     sliders = {  # pictures of a slider, and what is on its left; details, and their dots
@@ -240,6 +242,8 @@ def test_pages_fit_screens(answer: Callable[[str], Answer], tmp_path: Path) -> N
 
 
 @needs_browser
+# a browser; test_terminal_and_page_are_golden has the pages' content
+@pytest.mark.slow
 def test_page_prints(answer: Callable[[str], Answer], tmp_path: Path) -> None:
     """On a few sheets, with the map below the first heading."""
     headings = ["Where the errors are", "Numbers", "Settings"]

@@ -183,6 +183,8 @@ OPEN = "pitch.count = 6\ndisplay.dots = 50\n"
         ({"plan": "tiny.toml", "config": DARK + DUSK}, {"variant": "scalar_spectral"}),
     ],
 )  # fmt: skip
+# test_command_of_settings_makes_the_same_numbers has the claim
+@pytest.mark.slow
 def test_study_of_settings_has_the_same_numbers(
     files: dict[str, str],
     options: dict[str, Any],

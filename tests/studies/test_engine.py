@@ -169,6 +169,8 @@ def client(cluster: str) -> Iterator[Any]:
         yield client
 
 
+# test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_there has the claim
+@pytest.mark.slow
 def test_comparison_on_the_cluster_of_a_client_is_the_same(client: Any) -> None:
     compare = partial(
         pixsim.compare,

@@ -853,6 +853,8 @@ def test_setting_of_the_base_changes_nothing(done: Any) -> None:
     assert (case(done, "light", "f/2.8").curves[0].delta_e[0] / base[0]).max() < 0.95
 
 
+# time alone; test_base_case_equals_the_base_study has its numbers
+@pytest.mark.slow
 def test_unchanged_technology_is_computed_once(done: Any, desk: Path) -> None:
     """Base, half and f/2.8 with two technologies, and each end in each technology: 12 pixels of a
     technology each.

@@ -770,8 +770,13 @@ def made_without(form: str, name: str) -> object:
 @pytest.mark.usefixtures("desk")
 @pytest.mark.parametrize(
     ("form", "name"),
-    # The light is the first argument of a sweep.
-    [pair for pair in product(MADE, VALUES) if pair != ("sweep", "light")],
+    # The light is the first argument of a sweep. A lens and many draws take seconds; the other
+    # settings have the claim.
+    [
+        pytest.param(*pair, marks=[pytest.mark.slow] if pair[1] in ("lens", "sobol") else [])
+        for pair in product(MADE, VALUES)
+        if pair != ("sweep", "light")
+    ],
 )
 def test_option_of_a_study_acts_is_named_or_is_refused(form: str, name: str) -> None:
     options = {name: (VALUES | SWEEP_VALUES if form == "sweep" else VALUES)[name]}

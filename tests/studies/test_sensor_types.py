@@ -485,6 +485,8 @@ def test_verdicts_are_shares_of_the_types(done: tuple[Any, Path]) -> None:
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
 
 
+# test_option_of_a_study_acts_is_named_or_is_refused has the argument
+@pytest.mark.slow
 def test_sobol_in_python_has_the_indices_of_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
 ) -> None:

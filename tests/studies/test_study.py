@@ -180,7 +180,10 @@ BURST = WHOLE_CHART | {
 
 
 @pytest.mark.parametrize(
-    "frames", [{"exposure": {"integration_s": 1.0}}, BURST], ids=["grey", "burst"]
+    "frames",
+    # A grey frame has the claim.
+    [{"exposure": {"integration_s": 1.0}}, pytest.param(BURST, marks=pytest.mark.slow)],
+    ids=["grey", "burst"],
 )
 def test_study_cached_frames_same_bytes(
     frames: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
