@@ -5,8 +5,6 @@ A parameter counts as described if its name is in the docstring. The quality of 
 checked.
 """
 
-from __future__ import annotations
-
 import ast
 import doctest
 import importlib

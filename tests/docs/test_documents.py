@@ -4,8 +4,6 @@ Names on pages, and files that they name, are there.
 On the processor and with the packages of docs/made_on.toml, every digit must agree.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The changes of docs/first_change.md fit the files that they name, and do what the page says."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """The reference in docs/ says what the code says, and can be read without a site."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

@@ -2,8 +2,6 @@
 narrow screens.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

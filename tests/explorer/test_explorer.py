@@ -3,8 +3,6 @@ for this user alone, and for no other site; and in headless Chromium, a slider m
 changes, by hand and by keyboard, at any width, light and dark.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import http.client

@@ -2,8 +2,6 @@
 missing.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import os

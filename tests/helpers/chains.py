@@ -2,8 +2,6 @@
 way.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pixsim.light.spectral import SpectralImage

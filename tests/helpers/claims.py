@@ -17,8 +17,6 @@
 A claim that fails says what the physics expects, what came, and by how much it missed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -2,8 +2,6 @@
 cases has numbers of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

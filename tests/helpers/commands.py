@@ -1,7 +1,5 @@
 """Run `pixsim` in this process or in a new one, and check the message of invalid input."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import io

@@ -7,8 +7,6 @@ maximum likelihood of stiffness and residual. A simulated study draws its pitche
 the sensors of a pitch share, and the noise of each sensor. Curves with a steep flank are formulas.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Callable

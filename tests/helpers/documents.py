@@ -13,8 +13,6 @@ processor and the packages. There every digit of a page's output must come out a
 number may differ within the interval that the page prints with it, or else by `NUMBER_WITHIN`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

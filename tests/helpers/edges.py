@@ -1,7 +1,5 @@
 """Pictures of slanted edges whose MTF is known in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import erf
 

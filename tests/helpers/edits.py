@@ -1,7 +1,5 @@
 """Copies of the packaged scenes with small edits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

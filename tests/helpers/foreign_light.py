@@ -1,7 +1,5 @@
 """Files of light as other programs write them: EXR by OpenEXR, `.npz` by NumPy, ENVI by SPy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ one that has done so.
 A process of its own takes a second for the imports, which most tests of processes are not about.
 """
 
-from __future__ import annotations
-
 import functools
 import gc
 import importlib

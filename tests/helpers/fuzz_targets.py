@@ -2,8 +2,6 @@
 changes.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Files that no reader may wait for or unpack, and the promise that a reader keeps with them."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Lamps known in closed form, by tables and constants outside the code under test."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pixsim.light import spectral

@@ -4,8 +4,6 @@ Placeholder names say the role of a thing in a sentence, not what it is. They co
 keywords of calls, and names of functions, classes and imports. Nodes are those of the syntax tree.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Lenses that several tests measure."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pixsim

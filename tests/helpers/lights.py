@@ -4,8 +4,6 @@
 and `still_life`, each with its own camera, from seed 62, on films that are reduced.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Appearance of lines in a figure, and elements of an HTML page."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 
 import numpy as np

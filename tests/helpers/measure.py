@@ -3,8 +3,6 @@
 Imports inside functions count; those for the type checker do not.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """Run the notebooks of docs/, into which `python tests/benchmarks/pages.py` writes their outputs."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

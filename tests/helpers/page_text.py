@@ -1,7 +1,5 @@
 """A page as plain text: headings, sentences, lists and tables, and pictures by name and size."""
 
-from __future__ import annotations
-
 import base64
 import re
 import struct

@@ -1,7 +1,5 @@
 """Time limit of child processes, and a study that a signal ends at a known evaluation."""
 
-from __future__ import annotations
-
 # Far above any run time, so that no result depends on the speed of the machine.
 HANG_S = 600
 

@@ -1,7 +1,5 @@
 """Public names of pixsim, for tests of docstrings and reference."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """Fields of records of settings: their kinds, their ends, and values that they allow."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import pkgutil

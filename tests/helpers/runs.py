@@ -1,7 +1,5 @@
 """Results of runs without a render, for tests of what is said of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Data sheets of small sensors, of which a comparison takes 0.2 s."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 

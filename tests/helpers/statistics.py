@@ -1,7 +1,5 @@
 """Means of random values against their expectations, with a stated rate of false alarms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Another value of each setting of a study."""
 
-from __future__ import annotations
-
 from typing import Any
 
 # Another value of each setting, and the stages that it makes anew where the light is the same: a

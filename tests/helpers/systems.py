@@ -5,8 +5,6 @@ Which names of Python's own modules a system has is read from the stubs of types
 them. What a system call does there is not told: files and processes are those of this machine.
 """
 
-from __future__ import annotations
-
 import ast
 import builtins
 import importlib

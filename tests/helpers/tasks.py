@@ -1,7 +1,5 @@
 """Functions that worker processes import."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -1,7 +1,5 @@
 """TIFF files with any tags."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

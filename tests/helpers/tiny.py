@@ -1,7 +1,5 @@
 """A study that takes a second, and its rows in a folder."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

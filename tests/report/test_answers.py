@@ -1,7 +1,5 @@
 """First lines of answers, which are read at a glance, and the answers of `pixsim compare`."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -8,8 +8,6 @@ docs/made_on.toml every digit counts. Elsewhere noise is rounded otherwise, and 
 as in `helpers.documents.difference`.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

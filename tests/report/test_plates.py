@@ -2,8 +2,6 @@
 scales; what a figure leaves out.
 """
 
-from __future__ import annotations
-
 import csv
 import html
 import io

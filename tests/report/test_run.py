@@ -2,8 +2,6 @@
 anything is written.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -2,8 +2,6 @@
 another folder; templates and schemas agree with the records.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

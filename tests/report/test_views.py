@@ -1,7 +1,5 @@
 """Pictures of a study: details at 1:1 of the scored pictures, where the errors are large."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from pathlib import Path

@@ -2,8 +2,6 @@
 PNG files as Pillow reads them.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

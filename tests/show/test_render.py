@@ -1,7 +1,5 @@
 """The four renderers of a document: what each shows, and that every string is escaped."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
