@@ -36,7 +36,7 @@ QUICK_TESTS = {
     "base": "arrays cache config",
     "light": "exr tables",
     "optics": "closed_forms lens",
-    "sensor": "closed_forms noise pixel readout technology",
+    "sensor": "closed_forms integration pixel",
     "scene": "closed_forms plan scene",
     "viewer": "causes closed_forms",
     "studies": "closed_forms paper study",
