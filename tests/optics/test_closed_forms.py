@@ -205,6 +205,12 @@ def thin_lens_axes() -> list[float]:
 
 SLOW = 1 / (4 * 500.0**2 * 1.3**2)
 THIN_LENS = [
+    Claim(
+        "height of a window of half the width",
+        lambda: Camera(die_mm=4.0, die_height_mm=3.0).window(2.0).height_mm,
+        1.5,
+        why="exact",
+    ),
     *(
         Claim(
             f"π sin²α at f/{n:g}, m = {m:g}",

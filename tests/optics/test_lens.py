@@ -194,6 +194,13 @@ CLAIMS = [
         for distance in (np.inf, 1000.0)
         for coat, share in ((None, 0.2**4), (0.01, 1e-4))
     ),
+    Claim(
+        "blur of the ghost of a far object",
+        lambda: replace(BEHIND, object_distance_mm=1e9).ghosts(550.0)[0].blur_mm,
+        replace(BEHIND, object_distance_mm=np.inf).ghosts(550.0)[0].blur_mm,
+        rtol=1e-6,
+        why="the limit",
+    ),
     Claim("heights of a lens twice as large", lambda: TWICE.chief_ray(25.0, 550.0).height_mm, 2 * PHONE.chief_ray(25.0, 550.0).height_mm, rtol=1e-12),
     Claim("its angles", lambda: TWICE.chief_ray(25.0, 550.0).angle_deg, PHONE.chief_ray(25.0, 550.0).angle_deg, rtol=1e-12),
     Claim("its wavefront", lambda: TWICE.opd_waves(25.0, 550.0, 0.3, 0.7), 2 * PHONE.opd_waves(25.0, 550.0, 0.3, 0.7), rtol=1e-8, why="aiming"),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
 from helpers.lenses import triplet
+from helpers.lights import camera, chart
 from helpers.looks import lines_without_rows
 from helpers.runs import run_result
 from helpers.sheets import two_sheets
@@ -340,3 +341,26 @@ def test_file_that_pixsim_did_not_write_is_not_replaced(
 def test_pictures_are_written_to_no_pdf(tmp_path: Path) -> None:
     with pytest.raises(PixsimError, match="figures: got 'pdf' for a RunResult"):
         pixsim.write_report(run_result([1.0], {}), tmp_path, figures="pdf")
+
+
+def test_written_noise_budget_adds_up(tmp_path: Path) -> None:
+    """Variances of causes add up to that of all; parts of ΔE, with the remainder, to the mean."""
+    settings = {"pixel": {"pitch_um": 21.2}, "display": {"dots": 64}, "noise_budget": True}
+    result = pixsim.run("csf", resolution=64, **settings)
+    result.write(tmp_path)
+    with (tmp_path / "figures/noise_budget.csv").open(newline="", encoding="utf-8") as file:
+        rows = {row["cause"]: row for row in csv.DictReader(file)}
+
+    causes = [row for row in rows.values() if row["part"]]
+    noise_e = np.array([float(row["noise_e"] or "nan") for row in causes])
+    total_e = float(rows["all causes"]["noise_e"])
+    np.testing.assert_allclose(np.sqrt(np.nansum(noise_e**2)), total_e, rtol=1e-6)
+    parts_delta_e = sum(float(row["delta_e"]) for row in causes)
+    np.testing.assert_allclose(parts_delta_e, result.mean_delta_e, rtol=1e-6)
+    assert "Noise" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_score_shows_its_mean_in_a_notebook() -> None:
+    light = chart()
+    score = pixsim.evaluate(light, camera(light), pixsim.Pixel(pitch_um=21.2))
+    assert f"{score.mean_delta_e:.3f}"[:4] in score._repr_html_()
