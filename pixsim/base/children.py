@@ -9,7 +9,7 @@ import os
 import sys
 
 
-def without_empty_parts(folders: str) -> str:
+def _without_empty_parts(folders: str) -> str:
     """A list of folders, as in PATH, without the empty parts, which stand for the current folder.
 
     >>> without_empty_parts(":/usr/bin::/bin")
@@ -20,10 +20,10 @@ def without_empty_parts(folders: str) -> str:
 
 def safe_variables() -> dict[str, str]:
     """The variables of a child that looks for code in no folder but those that are named."""
-    search = without_empty_parts(os.environ.get("PATH", os.defpath)) or os.defpath
+    search = _without_empty_parts(os.environ.get("PATH", os.defpath)) or os.defpath
     return {
         "PYTHONSAFEPATH": "1",
-        "PYTHONPATH": without_empty_parts(os.environ.get("PYTHONPATH", "")),
+        "PYTHONPATH": _without_empty_parts(os.environ.get("PYTHONPATH", "")),
         "PATH": search,
     }
 

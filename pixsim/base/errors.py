@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 # Control characters but tab and line feed, and the marks that turn the direction of the text that
 # follows.
-CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 # of a spreadsheet: it runs a cell that begins so, also in full width
 _FORMULA = "=+-@\uff1d\uff0b\uff0d\uff20"
 _MAX_LENGTH = 20_000  # characters of a message
@@ -45,7 +45,7 @@ def printable(text: str, json: bool = False) -> str:
     >>> print(printable("\\x1b[2J"), printable("\\x7f", json=True))
     \\x1b[2J \\u007f
     """
-    return CONTROL.sub(
+    return _CONTROL.sub(
         lambda match: f"\\u{ord(match[0]):04x}" if json else repr(match[0])[1:-1], text
     )
 
@@ -109,7 +109,7 @@ def name_fault(name: str) -> str:
     >>> name_fault("=1+1"), name_fault("-0.5"), name_fault("night")
     ('begins with =, which a spreadsheet reads as a formula', '', '')
     """
-    if CONTROL.search(name) or "\t" in name or "\n" in name:
+    if _CONTROL.search(name) or "\t" in name or "\n" in name:
         return "contains control characters, or marks that change the direction of text"
     if name[:1] in _FORMULA and name:
         try:

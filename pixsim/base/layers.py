@@ -32,13 +32,13 @@ class Layer:
 
 
 # Returns the part of the first table that holds beside the second
-Remaining = Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]
+_Remaining = Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]
 
 
 def merge_tables(
     base: dict[str, Any],
     over: dict[str, Any],
-    remaining: Remaining = lambda base, over: dict(base),
+    remaining: _Remaining = lambda base, over: dict(base),
     whole: Collection[str] = (),
 ) -> dict[str, Any]:
     """Merge nested tables; values of `over` replace values of `base`.

@@ -67,7 +67,7 @@ def run_command(tokens: Sequence[str]) -> None:
     try:
         # Notes also of the settings, before a result collects its own.
         with command_line(), collected_notes():
-            arguments = with_whole_options(arguments)
+            arguments = _with_whole_options(arguments)
             if any(word in HELP for word in arguments) and HELP_ALL not in arguments:
                 from pixsim.cli.help import print_help
 
@@ -99,7 +99,7 @@ def _widen_terminal() -> None:
 _WHOLE_OPTIONS = {"--lens": "--lens.file", "--metric": "--metrics"}
 
 
-def with_whole_options(arguments: Sequence[str]) -> list[str]:
+def _with_whole_options(arguments: Sequence[str]) -> list[str]:
     """Write `--lens phone` as `--lens.file phone`: cyclopts takes no `--lens.refocus` beside a
     value of `--lens`.
     """

@@ -27,7 +27,7 @@ LIMIT_S = 20.0  # of the test render, which takes 1 to 3 s
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class _Diagnosis:
     """One line of the report; the names are keys of `pixsim doctor --json`.
 
     mark : OK, NOTE (renders work nevertheless) or PROBLEM
@@ -43,7 +43,7 @@ class Diagnosis:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
+def examine(out: Path, limit_s: float | None = None) -> list[_Diagnosis]:
     """Examine this machine, in about 5 s; a graphics card has time limits of its own.
 
     out : output folder to examine; it need not exist
@@ -61,11 +61,11 @@ def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
         f" {platform.machine()}"
     )
     return [
-        Diagnosis(
+        _Diagnosis(
             "pixsim", OK, f"{VERSION} in {resources.files('pixsim')}", facts={"version": VERSION}
         ),
-        Diagnosis("Python", OK, python, facts={"version": platform.python_version()}),
-        Diagnosis(
+        _Diagnosis("Python", OK, python, facts={"version": platform.python_version()}),
+        _Diagnosis(
             "packages",
             OK,
             ", ".join(f"{name} {version}" for name, version in packages.items()),
@@ -81,7 +81,7 @@ def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
     ]
 
 
-def doctor_document(findings: list[Diagnosis]) -> Document:
+def doctor_document(findings: list[_Diagnosis]) -> Document:
     """Return the answer of `pixsim doctor`: a line for each finding, and below it the command that
     mends it.
     """
@@ -116,32 +116,32 @@ def _required() -> list[str]:
     return [name for name in names if any(metadata.distributions(name=name))]
 
 
-def _llvm() -> Diagnosis:
+def _llvm() -> _Diagnosis:
     try:
         path, reason = variant.find_llvm()
     except PixsimError as error:  # which says how to mend it
-        return Diagnosis("LLVM", PROBLEM, str(error))
+        return _Diagnosis("LLVM", PROBLEM, str(error))
     if path is None:
         has_wheel = (sys.platform, platform.machine()) == ("linux", "x86_64")
         if has_wheel:
             mend = f"pip install {variant.LLVM_WHEEL}"
         else:
             mend = f"export {variant.LLVM_VARIABLE}=FILE"
-        return Diagnosis(
+        return _Diagnosis(
             "LLVM", NOTE, f"{reason}; renders take several times as long", mend, {"path": None}
         )
-    return Diagnosis("LLVM", OK, f"{path} ({reason})", facts={"path": path})
+    return _Diagnosis("LLVM", OK, f"{path} ({reason})", facts={"path": path})
 
 
-def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
+def _graphics(card: graphics.GraphicsTrial) -> _Diagnosis:
     facts = {"fault": card.fault}
     if card.fault is None:
-        return Diagnosis("graphics card", OK, "works, and traces by default", facts=facts)
+        return _Diagnosis("graphics card", OK, "works, and traces by default", facts=facts)
     mark = NOTE if card.tried else OK  # none is required
-    return Diagnosis("graphics card", mark, f"not used: {card.fault}", facts=facts)
+    return _Diagnosis("graphics card", mark, f"not used: {card.fault}", facts=facts)
 
 
-def _test_render(limit_s: float) -> Diagnosis:
+def _test_render(limit_s: float) -> _Diagnosis:
     trial = trial_render(limit_s=limit_s)
     facts = {**trial.facts, "seconds": trial.seconds}
     name = trial.facts.get("variant")
@@ -152,47 +152,47 @@ def _test_render(limit_s: float) -> Diagnosis:
         mend = None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"
         if name != variant.SCALAR and trial_render(variant.SCALAR, limit_s=limit_s).fault is None:
             mend = f"pixsim run csf --variant {variant.SCALAR}"
-        return Diagnosis("test render", PROBLEM, fault, mend, facts)
+        return _Diagnosis("test render", PROBLEM, fault, mend, facts)
     text = (
         f"csf with {name}, {facts['threads']} threads: {facts['mean_lx']:.3f} lx, closed form"
         f" {facts['expected_lx']:.3f} lx, in {trial.seconds:.1f} s"
     )
-    return Diagnosis("test render", OK, text, facts=facts)
+    return _Diagnosis("test render", OK, text, facts=facts)
 
 
-def _processors() -> Diagnosis:
+def _processors() -> _Diagnosis:
     processors = machine.processors()
     text = f"{processors.usable} usable of {processors.cores}"
-    return Diagnosis("processors", OK, text, facts=vars(processors))
+    return _Diagnosis("processors", OK, text, facts=vars(processors))
 
 
-def _memory() -> Diagnosis:
+def _memory() -> _Diagnosis:
     memory = machine.memory()
     text = f"{_gib(memory.usable)} usable of {_gib(memory.total)}"
-    return Diagnosis("memory", OK, text, facts=vars(memory))
+    return _Diagnosis("memory", OK, text, facts=vars(memory))
 
 
 def _gib(size: int | None) -> str:
     return "unknown" if size is None else f"{size / cache.GIB:.1f} GiB"
 
 
-def _cache() -> Diagnosis:
+def _cache() -> _Diagnosis:
     try:
         folder = cache.folder()
         limit_bytes = cache.limit_bytes()
         size_bytes = sum(entry.size_bytes for entry in cache.entries())
     except PixsimError as error:  # which says how to mend it
-        return Diagnosis("cache", PROBLEM, str(error))
+        return _Diagnosis("cache", PROBLEM, str(error))
     fault, _ = machine.check_folder(folder)
     text = f"{folder}: {_gib(size_bytes)} of {_gib(limit_bytes)}"
     if fault:
-        return Diagnosis(
+        return _Diagnosis(
             "cache",
             NOTE,
             f"{text}; it cannot be written ({fault})",
             f"export {FOLDER_VARIABLE}=FOLDER",
         )
-    return Diagnosis(
+    return _Diagnosis(
         "cache",
         OK,
         text,
@@ -200,15 +200,15 @@ def _cache() -> Diagnosis:
     )
 
 
-def _results(out: Path) -> Diagnosis:
+def _results(out: Path) -> _Diagnosis:
     reason, free_bytes = machine.check_folder(out)
     if reason:
-        return Diagnosis(
+        return _Diagnosis(
             "results",
             PROBLEM,
             f"{out} cannot be written ({reason})",
             "choose another folder with --out",
         )
-    return Diagnosis(
+    return _Diagnosis(
         "results", OK, f"{out}: {_gib(free_bytes)} free", facts={"free_bytes": free_bytes}
     )

@@ -120,7 +120,7 @@ _FROM_TECHNOLOGY = "from the technology"
 NAMES = {float: "FLOAT", int: "INT", bool: "BOOL", str: "TEXT"}
 
 
-def value_name(annotation: object) -> str:
+def _value_name(annotation: object) -> str:
     """Return the name of the values of a field in the help: FLOAT, INT, TEXT, or the choices, as
     mosis|paper.
 
@@ -129,21 +129,21 @@ def value_name(annotation: object) -> str:
     origin = get_origin(annotation)
     inner = get_args(annotation)
     if origin is Annotated:
-        return value_name(inner[0])
+        return _value_name(inner[0])
     if origin is Literal:
         return "|".join(map(str, inner))
     if origin in (Union, UnionType):
         # Values that are no text, such as records, can be given in Python only.
         text_kinds = [kind for kind in inner if kind is not type(None) and not is_dataclass(kind)]
-        return "|".join(dict.fromkeys(map(value_name, text_kinds)))
+        return "|".join(dict.fromkeys(map(_value_name, text_kinds)))
     if origin is dict:
         return "FILE"
     if origin is tuple:
-        return "FILE" if inner[-1] is Ellipsis else "x".join(map(value_name, inner))
+        return "FILE" if inner[-1] is Ellipsis else "x".join(map(_value_name, inner))
     return NAMES.get(annotation, "TEXT") if isinstance(annotation, type) else "TEXT"
 
 
-def choices_of(annotation: object) -> tuple[str, ...]:
+def _choices_of(annotation: object) -> tuple[str, ...]:
     """The texts that a field allows, if they are a list."""
     if get_origin(annotation) is Literal:
         return tuple(map(str, get_args(annotation)))
@@ -151,7 +151,7 @@ def choices_of(annotation: object) -> tuple[str, ...]:
         choice
         for inner in get_args(annotation)
         if get_origin(inner)
-        for choice in choices_of(inner)
+        for choice in _choices_of(inner)
     )
 
 
@@ -174,10 +174,10 @@ def field_option(record: type[Record], name: str, /, **parameters: Any) -> Param
         default_text = f" [default: {default}]"
     options = {
         "help": f"{description}{default_text}".strip(),
-        "metavar": value_name(info.annotation),
+        "metavar": _value_name(info.annotation),
         "show_default": False,
     }
-    choices = choices_of(info.annotation)
+    choices = _choices_of(info.annotation)
     if choices:
         options["completer"] = lambda _: choices
     return Parameter(**{**options, **parameters})

@@ -68,7 +68,7 @@ _DEGREE_FALSE_ALARM = 1e-3  # share of straight edges whose noise passes for a c
 _MIN_BEND_PX = 0.01
 # RMS of the rows' edges about the polynomial, without their noise: lowers the SFR at Nyquist by 5 %
 _MAX_MISFIT_PX = 0.1
-PHASES = 8  # of the edge within a pixel
+_PHASES = 8  # of the edge within a pixel
 _MIN_MISFIT_RATIO = 2.0  # of the scatter's variance to that of the noise, which may be correlated
 MIN_CONTRAST = 0.05  # Michelson contrast of linear data
 _MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
@@ -1070,9 +1070,9 @@ def _without_sampling_error(residual_px: Array, position_px: Array) -> Array:
 
     position_px : of the edge in each row, in pixels of the channel
     """
-    phase = np.floor(position_px % 1.0 * PHASES).astype(int) % PHASES
-    rows = np.bincount(phase, minlength=PHASES)
-    mean = np.bincount(phase, weights=residual_px, minlength=PHASES) / np.maximum(rows, 1)
+    phase = np.floor(position_px % 1.0 * _PHASES).astype(int) % _PHASES
+    rows = np.bincount(phase, minlength=_PHASES)
+    mean = np.bincount(phase, weights=residual_px, minlength=_PHASES) / np.maximum(rows, 1)
     return residual_px - mean[phase]
 
 

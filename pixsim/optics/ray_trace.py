@@ -21,7 +21,7 @@ from pixsim.optics.prescription import Surface
 NEWTON_STEPS = 30  # an aspheric surface takes 3 to 5
 # last step along a ray over its height, or 1 mm: what is left is its square, times the curvature
 _CONVERGED = 2e-8
-EDGE_TOLERANCE = 1e-12  # relative: a ray on the edge of a clear aperture passes
+_EDGE_TOLERANCE = 1e-12  # relative: a ray on the edge of a clear aperture passes
 
 
 @dataclass
@@ -128,7 +128,7 @@ def intersect(rays: Rays, surface: Surface, index: float | Array) -> Rays:
     path = rays.path_mm + index * (t + step)
     passed = rays.passed
     if surface.clips and surface.semi_diameter_mm is not None:
-        passed = passed & (x * x + y * y <= (surface.semi_diameter_mm * (1 + EDGE_TOLERANCE)) ** 2)
+        passed = passed & (x * x + y * y <= (surface.semi_diameter_mm * (1 + _EDGE_TOLERANCE)) ** 2)
     return Rays(x, y, z, ray_l, ray_m, ray_n, path, passed)
 
 

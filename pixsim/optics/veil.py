@@ -22,7 +22,7 @@ VEIL = "veil_of_w_per_m2_nm"
 
 
 @dataclass(frozen=True)
-class StrayLight:
+class _StrayLight:
     """Stray light in a camera, and the share of the light that does not stray.
 
     direct_share : (B,) share of each band that does not stray
@@ -33,7 +33,7 @@ class StrayLight:
     uniform_w_per_m2_nm: Array
 
 
-def stray_light(irradiance: SpectralImage, camera: Camera) -> StrayLight | None:
+def stray_light(irradiance: SpectralImage, camera: Camera) -> _StrayLight | None:
     """Return the stray light of a picture, or None without veiling glare.
 
     It is that of the whole picture, of which this one may be a part (`with_veil_of_whole`).
@@ -60,7 +60,7 @@ def stray_light(irradiance: SpectralImage, camera: Camera) -> StrayLight | None:
         and all(isinstance(value, float) for value in stated_mean)
     )
     mean = np.asarray(stated_mean) if is_valid else irradiance.whole.mean_spectrum()
-    return StrayLight(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
+    return _StrayLight(1 - share, share * (1 + camera.veiling_glare_outside) * mean)
 
 
 def _band_shares(irradiance: SpectralImage, glare: tuple[tuple[float, float], ...]) -> Array:

@@ -119,17 +119,17 @@ def _axes_document(
     regrets : `condition_regrets` of the study
     warned : notes that a reader of the terminal has seen
     """
-    one_at_a_time = one_at_a_time_table(result)
+    one_at_a_time = _one_at_a_time_table(result)
     films = [part.film for part in result.parts if part.film is not None]
     worst = max(films, key=lambda film: film.largest_delta_e, default=None)
     facts: list[Block] = [one_at_a_time] if one_at_a_time.rows else []
     if worst is not None:
         facts.append(Fact(film_words(worst.as_dict())))
-    data = cases_data(result, regrets) | {"counts": asdict(result.counts)}
+    data = _cases_data(result, regrets) | {"counts": asdict(result.counts)}
     return replace(document_of(result, data, regrets, facts, warned), kind="study of several cases")
 
 
-def one_at_a_time_table(result: CasesResult) -> DocumentTable:
+def _one_at_a_time_table(result: CasesResult) -> DocumentTable:
     """Return how far each axis that is moved alone moves the optimum and its value, widest
     first.
     """
@@ -148,7 +148,7 @@ def one_at_a_time_table(result: CasesResult) -> DocumentTable:
     return DocumentTable("one at a time", head, [row for _, row in rows], words=None)
 
 
-def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
+def _cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
     """Return the result as in summary.json."""
     all_findings = result.findings or [()] * len(result.parts)
     cases: list[dict[str, Any]] = []
@@ -217,11 +217,11 @@ def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -
     )
     parts = list(zip(cases, result.parts[: len(cases)], strict=True))
     pages = {case.folder: draw(part) for case, part in parts}
-    page = axes_page(result, condition_regrets(result.study, result.curves), parts)
+    page = _axes_page(result, condition_regrets(result.study, result.curves), parts)
     return with_files_of_study(replace(page, parts=pages), result)
 
 
-def axes_page(
+def _axes_page(
     result: CasesResult,
     regrets: Sequence[Regrets],
     parts: Sequence[tuple[Case[Study], StudyResult]],

@@ -71,7 +71,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     best = curve.optimum
     value = _best_value_words(curve)
     size = f"{best.pitch_um:.2f} µm"
-    limits = f"(95 %: {interval_words(curve)})"
+    limits = f"(95 %: {_interval_words(curve)})"
     end = "" if best.inside else ", the end of the range"
     if curve.no_difference_um is not None:
         low, high = curve.no_difference_um
@@ -120,7 +120,7 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
             size = f"none; lowest at {best.pitch_um:.2f}, the end of the range"
         value = _best_value_words(curve).removeprefix(f"{curve.metric.words} ")
         rows.append(
-            (curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um))
+            (curve.label, size, _interval_words(curve), value, interval(best.within_1_percent_um))
         )
     head = ("pixel", "optimum (µm)", "95 % interval", curves[0].metric.words, "within 1 % of it")
     return DocumentTable("optima", head, rows, words=None)
@@ -142,7 +142,7 @@ def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
     )
 
 
-def interval_words(curve: Curve) -> str:
+def _interval_words(curve: Curve) -> str:
     """Return the 95 % interval of a curve's optimum as text, unknown where the fit swings."""
     if curve.fit_swings:
         return "unknown beside the steep flank"
@@ -165,7 +165,7 @@ def _draw_curve(axes: Axes, curve: Curve, line_style: LineStyle) -> None:
     name = literal(curve.label)
     label = name
     if best.inside:
-        label = f"{name}: {best.pitch_um:.2f} µm (95 %: {interval_words(curve)})"
+        label = f"{name}: {best.pitch_um:.2f} µm (95 %: {_interval_words(curve)})"
 
     # Means of the sensors; hollow where the model of the microlens is doubtful.
     mean, ci95 = first_metric_and_ci95(curve)
@@ -242,7 +242,7 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
         frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right"
     )
     fitted = np.concatenate([fitted_at(curve, curve.pitch_um) for curve in curves]).tolist()
-    return drawing, curve_table(curves) | {f"fitted_{curves[0].metric.columns[0]}": fitted}
+    return drawing, _curve_table(curves) | {f"fitted_{curves[0].metric.columns[0]}": fitted}
 
 
 def fitted_at(curve: Curve, pitch_um: Array) -> Array:
@@ -263,7 +263,7 @@ def fresnel_column(curves: Sequence[Curve], pitch_um: Sequence[float]) -> dict[s
     return {"fresnel_number": ["" if number is None else number for number in numbers]}
 
 
-def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
+def _curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
     """Return a table with a row for each curve and pitch."""
     table: dict[str, list[float | str]] = {}
     for curve in curves:
@@ -386,5 +386,5 @@ def _curve_document(curve: Curve) -> Document:
 PRESENTER = Presenter(
     document=_curve_document,
     figure=lambda curve: delta_e_against_pitch([curve]),
-    csv=lambda curve: table_csv(curve_table([curve])),
+    csv=lambda curve: table_csv(_curve_table([curve])),
 )

@@ -312,7 +312,7 @@ def _measured_text(entry: Entry) -> str:
     return _value_text(entry.measured)
 
 
-def datasheet_answer(sheet: DataSheet) -> Answer:
+def _datasheet_answer(sheet: DataSheet) -> Answer:
     """Return the most important values, and the pixel and the measurement that they are of."""
     experiment = sheet.experiment
     physics = sheet.experiment.physics
@@ -401,7 +401,7 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     return [Note("data_sheet", words=text) for text in texts]
 
 
-def measurement_words(sheet: DataSheet) -> str:
+def _measurement_words(sheet: DataSheet) -> str:
     """Return how the values were measured, and of which pixels."""
     physics = sheet.experiment.physics
     side = sheet.experiment.readout.bin_side
@@ -464,12 +464,12 @@ def datasheet_document(sheet: DataSheet) -> Document:
         kind="data sheet of one simulated sensor",
         title=f"Data sheet of {sheet.experiment.pixel.pitch_um:g} µm pixels",
         data=_datasheet_data(sheet, notes),
-        answers=(datasheet_answer(sheet),),
+        answers=(_datasheet_answer(sheet),),
         lead=(transfer, *notes),
         sections=(
             Section("values", "Measured and true values", (values,), brief=True),
             Section("figures", "Figures", others),
-            Section("made", "How it was made", (measurement_words(sheet), settings), folded=True),
+            Section("made", "How it was made", (_measurement_words(sheet), settings), folded=True),
         ),
         files={"datasheet.csv": _datasheet_csv(sheet)},
     )

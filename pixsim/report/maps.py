@@ -191,7 +191,7 @@ class Panel:
         return scale.places[[curve is not None for curve in self.rows[0]]]
 
 
-class Grid:
+class _Grid:
     """The curves of a study by their technology, condition and values of the axes that are not
     moved alone.
 
@@ -407,7 +407,7 @@ def axis_plates(result: CasesResult) -> list[Plate]:
     Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and
     the least mean ΔE.
     """
-    grid = Grid(result)
+    grid = _Grid(result)
     plates = [draw(grid, scale) for scale in grid.scales for draw in (_optimum_along, map_along)]
     plates += [_map_of_two(grid, across, up) for across, up in combinations(grid.scales, 2)]
     return [
@@ -421,7 +421,7 @@ def axis_plates(result: CasesResult) -> list[Plate]:
     " tried. Hollow: the best size is not known, since it is at an end of the sizes tried or the"
     " film cannot tell sizes apart. Points of one value stand side by side.",
 )
-def _optimum_along(grid: Grid, scale: Scale) -> Drawing:
+def _optimum_along(grid: _Grid, scale: Scale) -> Drawing:
     """Plot the optimum with its interval along an axis, a line for each technology, condition and
     value of the other axes.
     """
@@ -505,7 +505,7 @@ def _draw_optima(
     " equal steps of the colours. Points: the best size, hollow where it is not known: at an end of"
     " the sizes tried, or where the film cannot tell sizes apart.",
 )
-def map_along(grid: Grid, scale: Scale) -> Drawing:
+def map_along(grid: _Grid, scale: Scale) -> Drawing:
     """Draw the fitted metric over pixel size and an axis, with the optimum, in panels."""
     panels, title = grid.panels(scale)
     curves = [curve for panel in panels for curve in panel.curves]
@@ -587,7 +587,7 @@ def _draw_best_sizes(axes: Axes, panel: Panel, scale: Scale) -> None:
     " as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes"
     " tried or the film cannot tell sizes apart.",
 )
-def _map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
+def _map_of_two(grid: _Grid, across: Scale, up: Scale) -> Drawing:
     """Draw the optimum over two axes, with contours of the best value, in panels."""
     from matplotlib.patches import Rectangle
 

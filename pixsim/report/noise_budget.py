@@ -50,7 +50,7 @@ def _budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
     }
 
 
-def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
+def _budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     """Return budgets by the words of their pixels as columns, a row for each cause of each pixel,
     and for its sums.
     """
@@ -70,7 +70,7 @@ def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     return columns_of(rows)
 
 
-def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
+def _budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     """Return the table of a page: causes down, electrons and ΔE of each pixel across, with the mean
     ΔE of each kind of causes.
     """
@@ -144,12 +144,12 @@ def _budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
         figure.legend(
             handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8
         )
-    return figure, budget_columns(budgets)
+    return figure, _budget_columns(budgets)
 
 
 def budgets_section(budgets: Mapping[str, NoiseBudget]) -> Section:
     """Return the section of a page on noise budgets; empty without them."""
     blocks = (
-        (budget_table(budgets), Plot(lambda: _budget_plate(budgets)), _ORDER) if budgets else ()
+        (_budget_table(budgets), Plot(lambda: _budget_plate(budgets)), _ORDER) if budgets else ()
     )
     return Section("causes", "Noise budget", blocks, brief=True)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
     from pixsim.viewer.score import FrameScore
 
-MAX_TICKS = 7
+_MAX_TICKS = 7
 _CONTRAST_LABEL = "contrast, (max − min) / (max + min)"
 
 
@@ -69,7 +69,7 @@ def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...
     decade = math.floor(math.log10(last_mm - first_mm)) - 1
     steps = (factor * 10.0**power for power in range(decade, decade + 3) for factor in (1, 2, 5))
     step = next(
-        step for step in steps if (last_mm - first_mm) / step <= (MAX_TICKS - 1) * (1 + 1e-9)
+        step for step in steps if (last_mm - first_mm) / step <= (_MAX_TICKS - 1) * (1 + 1e-9)
     )
     numbers = range(math.ceil(first_mm / step - 1e-9), math.floor(last_mm / step + 1e-9) + 1)
     return tuple((step * number, f"{step * number:.3g}") for number in numbers)

@@ -450,7 +450,7 @@ def run_answer(result: RunResult) -> Answer:
     first, *_ = metrics_named(result.settings.metrics)
     return Answer(
         _metric_text(result, first),
-        uncertain_metrics_words(result) if judged_by_delta_e(result.settings) else (),
+        _uncertain_metrics_words(result) if judged_by_delta_e(result.settings) else (),
     )
 
 
@@ -516,7 +516,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
     part of its contrast.
     """
     if result.threshold is not None:
-        return threshold_pitch_words(result.threshold)
+        return _threshold_pitch_words(result.threshold)
     threshold = result.settings.metric.detectability.threshold
     factor, reason = contrast_factor(
         result.chain.expected(result.score.frame.integration_s), d_prime
@@ -531,7 +531,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
     return f"not seen: {reason}"
 
 
-def threshold_pitch_words(threshold: Threshold) -> str:
+def _threshold_pitch_words(threshold: Threshold) -> str:
     """Return at which values of the scene's parameter a target is seen."""
     lower = threshold.value
     upper = threshold.upper_value
@@ -551,7 +551,7 @@ def shown_mean_of(result: RunResult) -> str:
     return shown_mean(mean, result.light, result.light_limit, result.causes, half)
 
 
-def uncertain_metrics_words(result: RunResult) -> list[str]:
+def _uncertain_metrics_words(result: RunResult) -> list[str]:
     """Return the lines that follow a run's mean ΔE: its causes, and the errors of its light."""
     film = result.rendered.film if result.rendered else None
     return [*map(str, result.causes), *unconverged(result.irradiance.header, film)]

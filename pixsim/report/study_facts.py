@@ -21,7 +21,7 @@ from pixsim.viewer.setting import stage_words
 _MAX_REGRET_TABLES = 3  # before an answer has too many lines; summary.json has all
 
 
-def study_unconverged(result: StudyResult) -> list[Note]:
+def _study_unconverged(result: StudyResult) -> list[Note]:
     """Return the lines of `unconverged` of a study, each once, for the films at the best pixel
     sizes.
     """
@@ -34,7 +34,7 @@ def study_unconverged(result: StudyResult) -> list[Note]:
     return first_notes(notes)
 
 
-def study_view_words(result: StudyResult) -> list[str]:
+def _study_view_words(result: StudyResult) -> list[str]:
     """Return a line on how a study of a data sheet's sensor or of a window is shown; empty for
     other studies.
     """
@@ -48,7 +48,7 @@ def study_view_words(result: StudyResult) -> list[str]:
     return ["; ".join(words)] if words else []
 
 
-def study_light_words(result: StudyResult) -> list[str]:
+def _study_light_words(result: StudyResult) -> list[str]:
     """Return a line on the lens of a study, its field, the display's white and the exposure; no
     line where its cases differ.
     """
@@ -91,9 +91,9 @@ def study_facts(result: StudyResult) -> list[Block]:
     contrasts = [line for curve in result.curves for line in contrast_words(result, curve)]
     lines = [
         *contrasts,
-        *study_unconverged(result),
-        *study_light_words(result),
-        *study_view_words(result),
+        *_study_unconverged(result),
+        *_study_light_words(result),
+        *_study_view_words(result),
     ]
     return [
         *(table for curve_regrets in regrets for table in regrets_tables(curve_regrets)),

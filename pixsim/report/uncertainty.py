@@ -73,7 +73,7 @@ def shares_table(result: UncertaintyResult) -> DocumentTable:
             if result.total
             else [f"{name}: alone"]
         )
-    labels = input_labels(result.sample) | {SCATTER: SCATTER}
+    labels = _input_labels(result.sample) | {SCATTER: SCATTER}
     rows = [
         (
             label,
@@ -167,7 +167,7 @@ def _largest_share_words(distribution: PairUncertainty) -> str:
     """Return the unknown number with the largest share of the variance of a difference."""
     shares = {
         label: distribution.shares[name]["first"]
-        for name, label in input_labels(distribution.sample).items()
+        for name, label in _input_labels(distribution.sample).items()
     }
     shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
     if not shares:
@@ -176,7 +176,7 @@ def _largest_share_words(distribution: PairUncertainty) -> str:
     return f"{name} matters most, with {shares[name]} of the variance"
 
 
-def input_labels(sample: Sample) -> dict[str, str]:
+def _input_labels(sample: Sample) -> dict[str, str]:
     """Return the names of the inputs for readers: a technology by its label, not the path of its
     file, where that is unique.
     """

@@ -36,8 +36,8 @@ from pixsim.sensor.technology import load_technology
 from pixsim.viewer.setting import Effort
 
 RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation it raises by 2 %
-MAX_RUNS = 1 << 12
-MAX_SPP = 1024  # samples per film cell of one render
+_MAX_RUNS = 1 << 12
+_MAX_SPP = 1024  # samples per film cell of one render
 PAIR = 2
 _PAIRS_A_LEVEL = 2
 # With a time limit: a picture of a quarter of the samples comes sooner, and more are added to it.
@@ -279,7 +279,7 @@ class _Pace:
         self._pairs_at_level += 1
         is_far = noise.excess**2 > LEVEL_FACTOR / 2
         next_spp = pair_spp * LEVEL_FACTOR
-        may_grow = pair_spp < MAX_SPP and next_spp <= self.max_spp - half_spp
+        may_grow = pair_spp < _MAX_SPP and next_spp <= self.max_spp - half_spp
         grows = is_far and may_grow and self._pairs_at_level >= _PAIRS_A_LEVEL
         if self.level < 0 or grows:
             self.level += 1
@@ -335,7 +335,7 @@ def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _E
         return "samples"
     if is_late:
         return "max_seconds"
-    return "runs" if noise.runs >= MAX_RUNS else None
+    return "runs" if noise.runs >= _MAX_RUNS else None
 
 
 def _pair(halves: _Halves, level: int, reporter: _Reporter) -> Iterator[tuple[list[Any], int]]:

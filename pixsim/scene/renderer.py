@@ -192,7 +192,7 @@ Picture = NDArray[np.float32] | Array
 # Samples per kernel, about 1.5 s on two cores; Ctrl-C and progress are handled between kernels.
 _SAMPLES_PER_KERNEL = 1 << 25
 # Of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart.
-SAMPLES_TOGETHER = 1 << 22
+_SAMPLES_TOGETHER = 1 << 22
 # Limits the memory of the sums, in float32 and float64; fewer samples than 4 in a cell are rare.
 _CELLS_PER_KERNEL = 1 << 23
 _SCALAR_STRIPS = 16
@@ -537,7 +537,7 @@ class Renderer:
         rows: list[_RowTrace] = []
         if self.job.passes[scene] is not None and not self.job.variant.startswith("scalar"):
             pulses = list(range(len(light.fit.pulses)))
-            for strip in self._film_strips(spp * len(light.fit.passes), SAMPLES_TOGETHER):
+            for strip in self._film_strips(spp * len(light.fit.passes), _SAMPLES_TOGETHER):
                 trace = partial(
                     self.tracer.trace_together, scene, (strip.start, strip.stop), sampler, spp
                 )

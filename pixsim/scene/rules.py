@@ -44,7 +44,7 @@ TEXTURE_SAMPLES = "texture samples"  # subject of a decision
 TOLERANCE_E = 1e-3  # relative error of the mean electrons
 # Of the tolerance, for leaving out blur and diffraction
 BLUR_SHARE = 0.1
-DIFFRACTION_SHARE = 0.1
+_DIFFRACTION_SHARE = 0.1
 # A blur disc of diameter c moves 2c/(3π) of the light across an edge, which is at the centre of a
 # pixel on average.
 BLURRED_EDGE = 2 / (3 * math.pi)
@@ -622,7 +622,7 @@ def decide_diffraction(
     if chart is None:
         return Decision("diffraction", True, f"{reason}; its effect is unknown before rendering")
 
-    allowed = tolerance_e * DIFFRACTION_SHARE
+    allowed = tolerance_e * _DIFFRACTION_SHARE
     effect = diffraction_effect(chart, pitch_um, longest_nm, camera.effective_f_number, allowed)
     if effect > allowed:
         reason += f"; changes a sample of this chart by {percent(effect, 1)}"

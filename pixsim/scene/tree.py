@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Kinds of properties that are other nodes.
 REFERENCES = ("ResolvedReference", "Reference", "Object")
-MAX_CACHED_CHARACTERS = 1 << 20  # characters of a scene whose tree is kept
+_MAX_CACHED_CHARACTERS = 1 << 20  # characters of a scene whose tree is kept
 _MAX_NESTED = 24  # references within references
 _MIN_VOLUME = 1e-200  # of a transformed unit cube
 # A table whose wavelengths lie in this range in another unit, but not in nm, has that unit.
@@ -144,7 +144,7 @@ def parse_tree(text: str, variant: str) -> Tree:
     """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it, and as
     `_check_tree` does.
     """
-    if len(text) > MAX_CACHED_CHARACTERS:
+    if len(text) > _MAX_CACHED_CHARACTERS:
         return _check_tree(tree_of(parse(text, variant)))
     return (
         _recent_tree(text, variant) if len(text) <= _MAX_CHARACTERS else _cached_tree(text, variant)

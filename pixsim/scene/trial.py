@@ -31,7 +31,7 @@ RESOLUTION = 64
 POINTS = 16  # of the chart, along each side of a cell
 # Of the illuminance, normally 1e-5 and 4e-3
 MAX_MEAN_ERROR = 1e-3
-MAX_RMS_ERROR = 1e-2
+_MAX_RMS_ERROR = 1e-2
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def picture_fault(illuminance_lx: Array, expected_lx: Array) -> str | None:
     """Return how a picture differs from the closed form, both (H, W), or None if it is right."""
     mean = float(illuminance_lx.mean() / expected_lx.mean() - 1)
     rms = float(np.sqrt(np.mean((illuminance_lx / expected_lx - 1) ** 2)))
-    if abs(mean) <= MAX_MEAN_ERROR and rms <= MAX_RMS_ERROR:  # False for NaN
+    if abs(mean) <= MAX_MEAN_ERROR and rms <= _MAX_RMS_ERROR:  # False for NaN
         return None
     return (
         f"its image is wrong: the illuminance differs from the closed form by {mean:+.2%} (mean),"

@@ -95,7 +95,7 @@ class _CellSpline:
 
 
 @lru_cache(maxsize=16)
-def cell_spline(n: int) -> _CellSpline:
+def _cell_spline(n: int) -> _CellSpline:
     """Return the spline of the highest odd degree that n cells allow, up to `SPLINE_DEGREE`."""
     largest_odd = n if n % 2 else max(n - 1, 1)
     degree = min(SPLINE_DEGREE, largest_odd)
@@ -143,7 +143,7 @@ def _spline_coefficients(samples: Array) -> Array:
     """Return the coefficients (n + 1, columns) of the spline through the running sums of cell means
     (n, columns).
     """
-    spline = cell_spline(len(samples))
+    spline = _cell_spline(len(samples))
     running = np.empty((len(samples) + 1, samples.shape[1]), order="F")
     running[0] = 0.0
     np.cumsum(samples, axis=0, dtype=float, out=running[1:])
@@ -193,7 +193,7 @@ def any_hard_edge(samples: Array) -> bool:
     )
 
 
-def interval_weights(low: Array, high: Array, knots: _CellSpline) -> csr_array:
+def _interval_weights(low: Array, high: Array, knots: _CellSpline) -> csr_array:
     """Return the weights of a `_RunningIntegral`'s differences along an axis in the integrals from
     `low` to `high`, sparse (m, n).
 
@@ -783,7 +783,7 @@ def integrate_axis(
     """
     stored = None if running is None or running.both_ways else running.coefficients
     edges = np.clip(np.concatenate([low_um, high_um]) / sample_pitch_um, 0.0, samples.shape[axis])
-    spline = cell_spline(samples.shape[axis])
+    spline = _cell_spline(samples.shape[axis])
     # Times the coefficients, these are the running integrals at the edges.
     edge_weights = _design_matrix(edges, spline.knots, spline.degree)
 
@@ -946,8 +946,8 @@ def _integrate_both_ways(
 # target.
 @lru_cache(maxsize=8)
 def _cached_weights(low: bytes, high: bytes, n: int) -> csr_array:
-    """Return the `interval_weights` on n samples."""
-    return interval_weights(np.frombuffer(low), np.frombuffer(high), cell_spline(n))
+    """Return the `_interval_weights` on n samples."""
+    return _interval_weights(np.frombuffer(low), np.frombuffer(high), _cell_spline(n))
 
 
 def _photodiode_edges_um(
@@ -1057,7 +1057,7 @@ def _pixel_signal(
     return signal, collection
 
 
-MAX_STORED_SAMPLES = 1 << 22  # of a running integral that is stored, 32 MiB: a film of 2048²
+_MAX_STORED_SAMPLES = 1 << 22  # of a running integral that is stored, 32 MiB: a film of 2048²
 
 
 @dataclass(frozen=True)
@@ -1076,7 +1076,7 @@ class ChannelLight:
         """Running integral of the picture, which takes longer than all steps of a pitch, unless it
         is too large to store.
         """
-        if self.rate_e_per_s_um2.size > MAX_STORED_SAMPLES:
+        if self.rate_e_per_s_um2.size > _MAX_STORED_SAMPLES:
             return None
         return running_integral(self.rate_e_per_s_um2)
 

@@ -46,7 +46,7 @@ from pixsim.sensor.stack_options import MICROLENSES, SHIFTS, StackOptions
 
 _Volts = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Grading = Annotated[float, Field(ge=0, le=0.99)]
-Capacitance = Annotated[float, Field(ge=0, le=1e9)]
+_Capacitance = Annotated[float, Field(ge=0, le=1e9)]
 _MIN_FF = 1e-6  # one electron changes its voltage by 160 V
 
 
@@ -57,15 +57,15 @@ class Junction(Record):
     voltage_swing_v: _Volts = Field(
         description="voltage swing of the photodiode, from reset to full, V"
     )
-    cj_ff_per_um2: Capacitance = Field(description="junction capacitance of the area, fF/µm²")
+    cj_ff_per_um2: _Capacitance = Field(description="junction capacitance of the area, fF/µm²")
     pb_v: _Volts = Field(description="built-in potential of the area's junction, V")
     mj: _Grading = Field(
         description="grading coefficient of the area's junction: ½ abrupt, ⅓ linear"
     )
-    cjsw_ff_per_um: Capacitance = Field(description="junction capacitance of the sidewall, fF/µm")
+    cjsw_ff_per_um: _Capacitance = Field(description="junction capacitance of the sidewall, fF/µm")
     pbsw_v: _Volts = Field(description="built-in potential of the sidewall's junction, V")
     mjsw: _Grading = Field(description="grading coefficient of the sidewall's junction")
-    node_capacitance_ff: Capacitance = Field(description="fixed capacitance of the sense node, fF")
+    node_capacitance_ff: _Capacitance = Field(description="fixed capacitance of the sense node, fF")
 
     @model_validator(mode="after")
     def _swing_and_capacitance_are_consistent(self) -> Self:

@@ -37,7 +37,7 @@ _BAR_GAP = 50
 _TICK = 7
 _GAP = 5
 LINE = 19  # of text, in px
-BLACK = (0, 0, 0)
+_BLACK = (0, 0, 0)
 WHITE = (255, 255, 255)
 
 
@@ -107,7 +107,7 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
     draw = ImageDraw.Draw(canvas)
 
     def write(x: float, y: float, anchor: str, text: str) -> None:
-        draw.text((x, y), text, BLACK, font(15), anchor=anchor)
+        draw.text((x, y), text, _BLACK, font(15), anchor=anchor)
 
     mean = estimate(delta_e.mean())
     title = f"S-CIELAB difference from the ideal image, mean {mean}"
@@ -120,15 +120,15 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
     left_mm, right_mm, bottom_mm, top_mm = where.extent_mm
     for at_mm, text in where.across.ticks:
         x = LEFT + (at_mm - left_mm) / (right_mm - left_mm) * width
-        draw.line((x, bottom, x, bottom + _TICK), BLACK)
+        draw.line((x, bottom, x, bottom + _TICK), _BLACK)
         write(x, bottom + _TICK + _GAP, "mt", text)
     for at_mm, text in where.down.ticks:
         y = TOP + (at_mm - top_mm) / (bottom_mm - top_mm) * height
-        draw.line((LEFT - 1 - _TICK, y, LEFT - 1, y), BLACK)
+        draw.line((LEFT - 1 - _TICK, y, LEFT - 1, y), _BLACK)
         write(LEFT - _TICK - _GAP, y, "rm", text)
     for tick_delta_e in np.linspace(0, end, _SCALE_STEPS + 1):
         y = bottom - tick_delta_e / end * height
-        draw.line((bar + _BAR, y, bar + _BAR + _TICK, y), BLACK)
+        draw.line((bar + _BAR, y, bar + _BAR + _TICK, y), _BLACK)
         write(bar + _BAR + _TICK + _GAP, y, "lm", f"{tick_delta_e:g}")
 
     return png_bytes(np.asarray(canvas))
@@ -253,7 +253,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
 
     canvas = Image.new("RGB", (width + 2 * SHEET_MARGIN, height + 2 * SHEET_MARGIN), WHITE)
     draw = ImageDraw.Draw(canvas)
-    draw.text((SHEET_MARGIN, SHEET_MARGIN), title, BLACK, font(16), anchor="lt")
+    draw.text((SHEET_MARGIN, SHEET_MARGIN), title, _BLACK, font(16), anchor="lt")
 
     for index, tile in enumerate(tiles):
         row, column = divmod(index, columns)
@@ -269,10 +269,10 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
                 right + SHEET_FRAME - 1,
                 bottom + SHEET_FRAME - 1,
             )
-            draw.rectangle(frame, fill=BLACK)
+            draw.rectangle(frame, fill=_BLACK)
         canvas.paste(Image.fromarray(tile.codes).convert("RGB"), (left, top))
-        draw.text((left, bottom + 5), tile.name, BLACK, font(14), anchor="lt")
-        draw.text((left, bottom + 5 + LINE), tile.note, BLACK, font(14), anchor="lt")
+        draw.text((left, bottom + 5), tile.name, _BLACK, font(14), anchor="lt")
+        draw.text((left, bottom + 5 + LINE), tile.note, _BLACK, font(14), anchor="lt")
 
     return smallest_png(np.asarray(canvas))
 

@@ -238,7 +238,7 @@ class ResultsComparison(Result):
     @property
     def names(self) -> tuple[str, str]:
         """Names of the folders."""
-        return folder_names(self.a, self.b)
+        return _folder_names(self.a, self.b)
 
     @property
     def film_delta_e(self) -> float | None:
@@ -261,7 +261,7 @@ class ResultsComparison(Result):
         )
 
 
-def folder_names(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
+def _folder_names(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
     """Return the names of two folders; with the folders above them where these are the same."""
     return (a.name, b.name) if a.name != b.name else (str(a.path), str(b.path))
 
@@ -304,7 +304,7 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
                 for folder in (first, other)
             )
             if np.isfinite([values_a, values_b]).all():
-                pairs = Pairs(folder_names(first, other), values_a, values_b, metric)
+                pairs = Pairs(_folder_names(first, other), values_a, values_b, metric)
                 differences.append(ResultPairs(dict(labels), pairs))  # type: ignore[arg-type]
     unpaired_count = len(first.rows) + len(other.rows) - 2 * len(shared)
     return ResultsComparison(first, other, tuple(differences), unpaired_count)

@@ -95,7 +95,7 @@ class _TooFewSizesError(PixsimError):
 
 
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
-SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
+_SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ class Curve(Result):
         if self.no_difference_um is None:
             return False
         low, high = self.no_difference_um
-        return not low * (1 - SAME_SIZE) <= self.optimum.pitch_um <= high * (1 + SAME_SIZE)
+        return not low * (1 - _SAME_SIZE) <= self.optimum.pitch_um <= high * (1 + _SAME_SIZE)
 
     @property
     def doubtful(self) -> Array:

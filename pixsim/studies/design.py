@@ -498,11 +498,11 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
     if not study.has_cases:
         return (Case(study, group=0),)
     number = _number_of_cases(study)
-    if number > MAX_CASES:
+    if number > _MAX_CASES:
         raise invalid(
             "axis",
             f"{number} cases, from all values of all axes",
-            f"at most {MAX_CASES}",
+            f"at most {_MAX_CASES}",
             "Give fewer values.",
         )
 
@@ -651,7 +651,7 @@ def _study(table: dict[str, Any], places: list[str]) -> Study:
         ) from None
 
 
-MAX_CASES = 10_000
+_MAX_CASES = 10_000
 _MAX_UNASKED = 100_000  # evaluations of a study with axes
 
 

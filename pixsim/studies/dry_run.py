@@ -154,7 +154,7 @@ def _run_cost(
     return Cost(int(plan is not None), evaluations, seconds, light_bytes + frame.memory_bytes, 1)
 
 
-def study_cost(
+def _study_cost(
     cases: Sequence[tuple[Study, Camera]],
     lights: int,
     plan: Plan,
@@ -260,7 +260,7 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     # Each metric has pixel sizes of its own.
     drawn_types = types * sum(metric.has_optimum for metric in metrics_of(study).chosen)
     further_evaluations = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
-    cost = study_cost(
+    cost = _study_cost(
         cases, lights, request.plan, request.shape, jobs, drawn_types, further_evaluations
     )
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}

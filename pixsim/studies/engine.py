@@ -56,7 +56,7 @@ _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 IDLE_SECONDS = 300.0
 WATCH_SECONDS = 5.0
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
-AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
+_AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
 
 @dataclass(frozen=True)
@@ -435,7 +435,7 @@ def _reply_of_call(
 
 # loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and
 # warns of that. No result depends on it.
-WORKER_REPLACED_WARNING = "A worker stopped while some jobs were given to the executor"
+_WORKER_REPLACED_WARNING = "A worker stopped while some jobs were given to the executor"
 
 
 def _on_processes(
@@ -487,7 +487,7 @@ def _on_processes(
             "initargs": (os.getpid(), _current_folder()),
         }
         with parallel_config("loky", inner_max_num_threads=1, **worker_arguments):
-            warnings.filterwarnings("ignore", WORKER_REPLACED_WARNING, UserWarning)
+            warnings.filterwarnings("ignore", _WORKER_REPLACED_WARNING, UserWarning)
             with running_replies() as replies:
                 for reply in replies:
                     yield reply
@@ -501,7 +501,7 @@ class SharedFiles:
     """Files of shared data, each made once: the first when it is asked for, the next ones in the
     background until then.
 
-    Those that wait have `AHEAD_BYTES` together, or are one.
+    Those that wait have `_AHEAD_BYTES` together, or are one.
 
     makes : the functions that make them, in the order of their first calls
     """
@@ -530,7 +530,7 @@ class SharedFiles:
             future.done() and not future.exception() for future in waiting
         ):
             return
-        if sum(future.result().stat().st_size for future in waiting) < AHEAD_BYTES:
+        if sum(future.result().stat().st_size for future in waiting) < _AHEAD_BYTES:
             first = next(iter(self._next))
             self._ahead[first] = self._thread.submit(self._made, self._next.pop(first))
 

@@ -336,7 +336,7 @@ class Task:
         return self.keys[point_count(repeat, len(self.displays)) + display]
 
 
-class EvaluatedPoint(NamedTuple):
+class _EvaluatedPoint(NamedTuple):
     """An evaluated point: its key, pixel size, repeat and number of the display.
 
     values : of `PIXEL_STATISTICS` and of the metrics' columns; empty for an impossible pixel
@@ -446,13 +446,13 @@ def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
 
 def evaluate_task(
     task: Task, light: SharedLight, first_frame: list[FirstFrame] | None = None
-) -> list[EvaluatedPoint]:
+) -> list[_EvaluatedPoint]:
     """Return the evaluations of a task; points without numbers, with the reason, if the colours of
     its pixels cannot be told apart.
 
     first_frame : gets the first frame of the first repeat, with its pictures
     """
-    evaluated: list[EvaluatedPoint] = []
+    evaluated: list[_EvaluatedPoint] = []
     repeats = task.repeats
     request = task.imaging.metrics
     pitch_um = task.imaging.pixel.pitch_um
@@ -477,7 +477,7 @@ def evaluate_task(
                 if first_frame is not None and not first_frame:
                     first_frame.append(FirstFrame(screen_chain, frame_under_test))
 
-                point = EvaluatedPoint(
+                point = _EvaluatedPoint(
                     key=task.key(repeat, display),
                     pitch_um=pitch_um,
                     repeat=repeat,
@@ -490,7 +490,7 @@ def evaluate_task(
     except AlikeChannelsError as error:
         displays = len(task.displays)
         return [
-            EvaluatedPoint(key, pitch_um, *point_at(number, displays), impossible=str(error))
+            _EvaluatedPoint(key, pitch_um, *point_at(number, displays), impossible=str(error))
             for number, key in task.keys.items()
         ]
     return evaluated
@@ -909,7 +909,7 @@ class _Evaluation:
                 yield from finished
 
     def _store_points(
-        self, evaluated: Sequence[EvaluatedPoint], waiting: Mapping[str, Sequence[int]]
+        self, evaluated: Sequence[_EvaluatedPoint], waiting: Mapping[str, Sequence[int]]
     ) -> None:
         """Store the evaluations of a task.
 

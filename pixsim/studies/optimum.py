@@ -16,7 +16,7 @@ whose noise is the relative noise s: of a curve that is steep at one end and fla
 one stiffness k fits the logarithm, but not the curve, whose fit would swing below all sizes tried.
 
 A flank may end more sharply than any smooth curve through few sizes. The sizes tried show that
-where the curve rises by more than a factor `FLANK` to a size next to the best one, where the fit
+where the curve rises by more than a factor `_FLANK` to a size next to the best one, where the fit
 dips by more than `_DIP` below it, or where the fit is least where no convex curve through the sizes
 is. The interval then contains all places where such a curve, of ΔE against u, could be least
 (`convex_range`).
@@ -88,7 +88,7 @@ _FINE_PLACES = 801  # of the fitted curve: steps of less than 0.4 % of a pitch
 STEEP = 2.5  # largest mean ΔE over the least, above which the logarithm is fitted
 # Beyond these the curve between the sizes is not taken for smooth. Smaller ones widen intervals of
 # smooth curves with few sizes.
-FLANK = 1.4  # mean ΔE of a size next to the best one, over its own
+_FLANK = 1.4  # mean ΔE of a size next to the best one, over its own
 _DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minimum
 # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be
 # factored
@@ -561,7 +561,7 @@ def _sharp_minimum(drawn: _DrawnFit) -> _SharpMinimum | None:
 
     tried = int(np.argmin(data.mean))
     least_tried = data.mean[tried]
-    has_flank = data.mean[max(0, tried - 1) : tried + 2].max() > FLANK * least_tried
+    has_flank = data.mean[max(0, tried - 1) : tried + 2].max() > _FLANK * least_tried
     dips = drawn.curve[drawn.best] < (1 - _DIP) * least_tried
     is_convex = range_um[0] <= drawn.fine_um[drawn.best] <= range_um[1]
     if not has_flank and not dips and is_convex:

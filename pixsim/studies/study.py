@@ -361,7 +361,7 @@ def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
     return key, reference_rows(Evidence(result, curves))
 
 
-def draw_types(
+def _draw_types(
     result: StudyResult,
     type_request: UncertaintyRequest,
     folder: Path,
@@ -754,7 +754,7 @@ def run_prepared(
         return final
 
     with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
-        distributions = draw_types(
+        distributions = _draw_types(
             final, type_request, folder, workers, lambda: stage("sensor types")
         )
     return replace(final, uncertainty=tuple(distributions))

@@ -623,7 +623,7 @@ class Probability:
 
 
 @dataclass(frozen=True)
-class ResultDistribution:
+class _ResultDistribution:
     """Values of a result over the sensor types, (n,)."""
 
     values: Array = field(repr=False)
@@ -681,16 +681,16 @@ class UncertaintyResult:
         return len(self.sample.quantiles)
 
     @property
-    def optimum(self) -> ResultDistribution:
+    def optimum(self) -> _ResultDistribution:
         """Distribution of the optimal pitch; an optimum beyond the sizes tried counts as the end
         of them.
         """
-        return ResultDistribution(self.table["optimum_um"])
+        return _ResultDistribution(self.table["optimum_um"])
 
     @property
-    def least_delta_e(self) -> ResultDistribution:
+    def least_delta_e(self) -> _ResultDistribution:
         """Distribution of the least mean ΔE, or of the best value of another metric."""
-        return ResultDistribution(self.table[self.metric.columns[0]])
+        return _ResultDistribution(self.table[self.metric.columns[0]])
 
     @property
     def share_at_ends(self) -> float:
@@ -878,9 +878,9 @@ class PairUncertainty:
         )
 
     @property
-    def difference(self) -> ResultDistribution:
+    def difference(self) -> _ResultDistribution:
         """Distribution of the difference."""
-        return ResultDistribution(self.differences)
+        return _ResultDistribution(self.differences)
 
     @cached_property
     def shares(self) -> dict[str, dict[str, Share]]:

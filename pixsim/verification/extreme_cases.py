@@ -175,7 +175,7 @@ LINES = (
     (829.3, 0.955, 0.0, 0.000310578),
 )
 BANDS_NM = np.arange(365.0, 826.0, 10.0)
-SURFACES = np.zeros((0, 471))  # none
+_SURFACES = np.zeros((0, 471))  # none
 _BANDS_TOLERANCE = 2.5e-4  # error of the bands in a render with default tolerance
 _SUM_ROUNDING = 1e-13  # rounding of a running sum over up to 15 040 cells
 
@@ -224,11 +224,11 @@ def spectra() -> list[Row]:
     detectors = [Detector(electrons), Detector(photopic_efficiency)]
     nm, watts, electrons_e, lux = zip(*LINES, strict=True)
     lamps = [line(centre_nm) for centre_nm in nm]
-    bands = [place_bands([lamp], SURFACES, detectors, _BANDS_TOLERANCE) for lamp in lamps]
+    bands = [place_bands([lamp], _SURFACES, detectors, _BANDS_TOLERANCE) for lamp in lamps]
     images = [image_of(lamp, lamp_bands) for lamp, lamp_bands in zip(lamps, bands, strict=True)]
 
     def power_of_pulse(lamp: Spectrum, lamp_bands: Bands) -> float:
-        pulses = fit(lamp, lamp_bands, SURFACES, detectors, _BANDS_TOLERANCE)
+        pulses = fit(lamp, lamp_bands, _SURFACES, detectors, _BANDS_TOLERANCE)
         if pulses is None:
             return math.nan
         return float((pulses.spectra.sum(axis=0) * lamp_bands.width_nm).sum())
@@ -296,7 +296,7 @@ def spectra() -> list[Row]:
         (
             "shares of light in the bands of a lamp that is off",
             lambda: place_bands(
-                [line(555.0) * 0.0], SURFACES, detectors, _BANDS_TOLERANCE
+                [line(555.0) * 0.0], _SURFACES, detectors, _BANDS_TOLERANCE
             ).shares.sum(axis=1),
             1.0,
             1e-15,
@@ -328,7 +328,7 @@ _SHOT_NOISE_ONLY: dict[str, Any] = dict.fromkeys(
     ),
     0,
 )
-GREEN = _SHOT_NOISE_ONLY | {
+_GREEN = _SHOT_NOISE_ONLY | {
     "quantum_efficiency": 0.5,
     "fill_factor": 0.5,
     "full_well_e": 65_535,
@@ -336,7 +336,7 @@ GREEN = _SHOT_NOISE_ONLY | {
     "pitch_um": 5.0,
 }
 CAMERA = Camera(die_mm=0.08)
-# of a pixel of `GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
+# of a pixel of `_GREEN` for 1 cd/m²: L · π sin²α · A · λ/hc · QE / K(λ)
 GREEN_E_PER_S = 1226.317856665
 _LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
 FRAME = (200, 500)  # pixels of a frame of random samples
@@ -383,7 +383,7 @@ def moments(values: NDArray[Any], mean: float) -> Array:
 def _green_frame(
     luminance: ArrayLike,
     diffraction: bool = False,
-    options: dict[str, Any] = GREEN,
+    options: dict[str, Any] = _GREEN,
     **exposure: Any,
 ) -> Frame:
     """Return a frame of a picture in one band at 555 nm, behind `CAMERA` without fall-off; 16×16
@@ -401,12 +401,12 @@ def _green_frame(
 def _bright_and_dark(diffraction: bool) -> Array:
     """Return the mean electrons of a picture whose halves have 1e12 and 1e2 cd/m²."""
     return _green_frame(
-        np.repeat([1e12, 1e2], 8), diffraction, GREEN | {"full_well_e": 1e15}
+        np.repeat([1e12, 1e2], 8), diffraction, _GREEN | {"full_well_e": 1e15}
     ).mean_e
 
 
 def light() -> list[Row]:
-    small_well = GREEN | {"full_well_e": 1000}  # filled by 1e-9 cd/m² in 25 years
+    small_well = _GREEN | {"full_well_e": 1000}  # filled by 1e-9 cd/m² in 25 years
     automatic: dict[str, Any] = {
         "options": small_well,
         "integration_s": None,
@@ -437,7 +437,7 @@ def light() -> list[Row]:
         ),
         (
             "mean code under 0.01 … 1e9 electrons, one code per electron",
-            lambda mean_e: capture(mean_e, GREEN).dn.mean(),
+            lambda mean_e: capture(mean_e, _GREEN).dn.mean(),
             lambda mean_e: poisson.sf(np.arange(65_535), mean_e).sum(),
             SIGMAS,
             f"Σ min(n, well) P(n) over Poisson counts; {_RANDOM_SAMPLES}, each of 6",

@@ -320,7 +320,7 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     )
 
     # The observer's X, Y and Z in place of the channels.
-    weights, white = observer_weights(chain.development.imaging, irradiance)
+    weights, white = _observer_weights(chain.development.imaging, irradiance)
     illumination = illumination_of(irradiance, imaging.camera, physics)
     collection = collection_of(physics, illumination, pixels)
     rates = diffracted(irradiance, imaging.camera, weights, diffusion_of(physics))
@@ -334,7 +334,7 @@ def _colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Fra
     )
 
 
-def observer_weights(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
+def _observer_weights(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
     """Return the weights of the light's bands, for X, Y and Z or a grey sensor's electrons, and the
     rate of display white per µm².
     """
@@ -353,7 +353,7 @@ def _blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame
     camera = chain.imaging.camera
     physics = chain.imaging.physics
     assert scene is not None
-    weights, white = observer_weights(chain.development.imaging, irradiance)
+    weights, white = _observer_weights(chain.development.imaging, irradiance)
     matrix = None if scene.colour_chart is None else scene.colour_chart.to_display
     diffusion = diffusion_of(physics)
     pixels = centred_pixels(scene.array_um, physics)

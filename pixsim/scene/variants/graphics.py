@@ -27,7 +27,7 @@ _DRIVER_FILES = Path(
     "/proc/driver/nvidia"
 )  # its version and its cards, which can be read without starting it
 # Variables that change what the driver shows of its cards, or which driver it is.
-DRIVER_SETTINGS = (
+_DRIVER_SETTINGS = (
     "CUDA_VISIBLE_DEVICES",
     "CUDA_DEVICE_ORDER",
     "NVIDIA_DRIVER_CAPABILITIES",
@@ -38,7 +38,7 @@ DRIVER_SETTINGS = (
 _PICTURE_S = 90.0  # the first picture on a card compiles everything
 KIND = "cards"
 NO_CARD = "there is no NVIDIA card (no /dev/nvidiactl)"
-NEEDS = (
+_NEEDS = (
     "Mitsuba needs a driver for CUDA 12.2 (535) or newer, but not 12.7 (565), with libnvoptix.so.1,"
     " and compute capability 7.5"
 )
@@ -104,7 +104,7 @@ def graphics_trial(again: bool = False) -> GraphicsTrial:
         return GraphicsTrial(NOT_CACHED, tried=False)
 
     # The trial is repeated when the driver, a card or a setting of them changes.
-    settings = [os.environ.get(name) for name in DRIVER_SETTINGS]
+    settings = [os.environ.get(name) for name in _DRIVER_SETTINGS]
     paths = (_DRIVER_FILES / "version", *sorted(_DRIVER_FILES.glob("gpus/*/information")))
     files = [machine.text_of(path) for path in paths]
     key = content_hash([files, settings, cache.version_fingerprint("mitsuba", "drjit")])
@@ -114,7 +114,7 @@ def graphics_trial(again: bool = False) -> GraphicsTrial:
             return cached
 
     fault = trial_render(CUDA, limit_s=_PICTURE_S).fault
-    trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})")
+    trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({_NEEDS})")
     if has_cache:
         cache.store_value(KIND, key, {"fault": trial.fault})
     if not again:

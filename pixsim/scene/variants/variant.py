@@ -26,7 +26,7 @@ from pixsim.scene.variants import graphics
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
 SYSTEM = "system"  # origin of a library, besides the variable and the wheel
-OLDEST_LLVM = 17
+_OLDEST_LLVM = 17
 LLVM = "llvm_ad_spectral"
 SCALAR = "scalar_spectral"
 CUDA = graphics.CUDA
@@ -106,7 +106,7 @@ def _library_fault(path: str) -> str | None:
         if os.path.exists(path):
             return "cannot be loaded (no library for this machine)"
         return "cannot be loaded (no such file)"
-    return None if version >= OLDEST_LLVM else f"is version {version or '15 or older'}"
+    return None if version >= _OLDEST_LLVM else f"is version {version or '15 or older'}"
 
 
 def candidates() -> Iterator[tuple[str, str]]:
@@ -164,9 +164,9 @@ def find_llvm() -> tuple[str | None, str]:
         if origin == LLVM_VARIABLE:
             hint = f"Unset it and install the wheel: pip install {LLVM_WHEEL}."
             raise invalid(
-                LLVM_VARIABLE, f"'{path}', which {fault}", f"LLVM {OLDEST_LLVM} or newer", hint
+                LLVM_VARIABLE, f"'{path}', which {fault}", f"LLVM {_OLDEST_LLVM} or newer", hint
             )
-    return None, f"no LLVM {OLDEST_LLVM} or newer was found"
+    return None, f"no LLVM {_OLDEST_LLVM} or newer was found"
 
 
 @lru_cache
@@ -222,7 +222,7 @@ def _for_processors(requested: str | None) -> tuple[ChosenVariant, str]:
         raise invalid(
             "variant",
             f"'{requested}', but {reason}",
-            f"LLVM {OLDEST_LLVM} or newer",
+            f"LLVM {_OLDEST_LLVM} or newer",
             f"To fix this, {hint}.",
         )
     return ChosenVariant(SCALAR, None, reason), f"{reason}; {hint}"

@@ -26,7 +26,7 @@ from pixsim.viewer.scielab import CIE_LAB, checked_white
 
 WEIGHTS = (1.0, 0.852, 0.323)  # of the deviations of L*, u* and v* [ISO]
 OPPONENT = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.4, -0.4]])
-BRADFORD = np.array(
+_BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
 # (weight, decay, power) of the terms w e^(-d ν^p) of C₁ and C₂, and what they are divided by
@@ -68,8 +68,8 @@ def visual_noise(
         return float(_lightness(luminance).std())
 
     # XYZ adapted to equal energy → opponent channels → the eye's filters → XYZ.
-    cone_ratios = BRADFORD.sum(axis=1) / (BRADFORD @ white)
-    adaptation = np.linalg.inv(BRADFORD) @ np.diag(cone_ratios) @ BRADFORD
+    cone_ratios = _BRADFORD.sum(axis=1) / (_BRADFORD @ white)
+    adaptation = np.linalg.inv(_BRADFORD) @ np.diag(cone_ratios) @ _BRADFORD
     to_opponent = OPPONENT @ adaptation
     planes = [np.ascontiguousarray(picture[..., channel], float) for channel in range(3)]
     filtered = _filtered(mixed(to_opponent, planes), samples_per_deg)
