@@ -41,7 +41,7 @@ _RESIDUAL = 1e-26  # of d′², at which they end; what is lost is of that order
 
 Difference = Annotated[Array, FINITE, Axes(2)]
 Variance = Annotated[Array, POSITIVE_OR_INFINITE]
-_Slopes = Annotated[Array, NOT_NEGATIVE]
+Slopes = Annotated[Array, NOT_NEGATIVE]
 
 
 def detectability(
@@ -50,7 +50,7 @@ def detectability(
     *,
     column_variance: NotNegative = 0.0,
     row_variance: NotNegative = 0.0,
-    offset_slopes: _Slopes | None = None,
+    offset_slopes: Slopes | None = None,
 ) -> float:
     """Return d′ = √(Δᵀ K⁻¹ Δ), the signal-to-noise ratio of the best linear observer of a target.
 
