@@ -244,6 +244,9 @@ NUMBERS: dict[str, tuple[str, str, Callable[[Lens], Any], Any, float]] = {
             AIR, "FTYP 0 0 3 1|FTYP 0 0 14 1", "YFLN 0 7 10 0 0 0 0 0 0 0 0 0|YFLN 0 1 2 3 4 5 6 7 8 9 10 11 12 13"
         ), ".zmx", lambda lens: lens.max_field_deg, 13.0, 1e-15
     ),
+    "fields that are not in use": (
+        edited(AIR, "FTYP 0 0 3 1|FTYP 0 0 2 1"), ".zmx", lambda lens: lens.max_field_deg, 7.0, 1e-15
+    ),
     "powers of an odd asphere": (
         edited(
             ZMX, "SURF 12\n  TYPE STANDARD\n|SURF 12\n  TYPE ODDASPHE\n  PARM 2 0.001\n  PARM 3 0.0002\n  PARM 5 1e-6\n"

@@ -4,6 +4,7 @@ forms of the kernels stand in test_closed_forms.py.
 
 import math
 import warnings
+from contextlib import nullcontext
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -30,6 +31,8 @@ from pixsim import (
     optics,
 )
 from pixsim.sensor.colour_options import ColourOptions
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.adaptation import RESPONSES
 from pixsim.viewer.chain import ImagingChain
@@ -39,6 +42,7 @@ from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import MetricRequest, NoNumberError
 from pixsim.viewer.raw_metrics import (
     MAX_D_PRIME,
+    _check_rounding,
     _d_prime,
     _mtf_along,
     bottom_table,
@@ -1054,3 +1058,16 @@ KERNEL_CLAIMS = [
 @pytest.mark.parametrize("claim", [*CLAIMS, *KERNEL_CLAIMS], ids=str)
 def test_closed_forms(claim: Claim) -> None:
     claim.check()
+
+
+@pytest.mark.parametrize("exposures", [1, 4])
+@pytest.mark.parametrize(("sigma_dn", "is_refused"), [(0.45, True), (0.55, False)])
+def test_rounding_is_noise_from_half_a_code_of_noise_in_each_exposure(
+    exposures: int, sigma_dn: float, is_refused: bool
+) -> None:
+    """The variance of a sum has that of each exposure, and LSB²/12 for its rounding."""
+    readout = Readout.of(derive(Pixel(technology="4t-bsi", pitch_um=3.0))).burst(exposures)
+    variance_e2 = exposures * (sigma_dn**2 + 1 / 12) / readout.dn_per_e**2
+    refusal = pytest.raises(NoNumberError) if is_refused else nullcontext()
+    with refusal:
+        _check_rounding(readout, variance_e2)
