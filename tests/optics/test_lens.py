@@ -195,6 +195,16 @@ CLAIMS = [
         for coat, share in ((None, 0.2**4), (0.01, 1e-4))
     ),
     Claim(
+        "conditions with a point each are those one by one",
+        lambda: PHONE.opd_waves([0.0, 20.0, 10.0], [600.0, 550.0, 550.0], [0.1, 0.2, 0.3], [0.0, 0.4, 0.5]),
+        [
+            PHONE.opd_waves(0.0, 600.0, 0.1, 0.0),
+            PHONE.opd_waves(20.0, 550.0, 0.2, 0.4),
+            PHONE.opd_waves(10.0, 550.0, 0.3, 0.5),
+        ],
+        rtol=1e-9,
+    ),
+    Claim(
         "blur of the ghost of a far object",
         lambda: replace(BEHIND, object_distance_mm=1e9).ghosts(550.0)[0].blur_mm,
         replace(BEHIND, object_distance_mm=np.inf).ghosts(550.0)[0].blur_mm,

@@ -719,3 +719,11 @@ def test_diffused_shares_are_symmetric_and_wider_in_red() -> None:
     np.testing.assert_allclose(shares, np.swapaxes(shares, 1, 2), atol=1e-15)
     assert np.diff(shares[:, 2, 2]).max() < 0
     assert shares.min() > 0
+
+
+def test_share_of_the_corner_is_that_of_half_the_die() -> None:
+    camera = Camera(die_mm=0.4, die_height_mm=0.3, focal_length_mm=0.4, f_number=2.0)
+    pixel = physics(stack=LENS)
+    pupil = camera_pupil(camera).at([200.0], [150.0])
+    (corner,) = collected_shares(pixel.stack, pupil, [550.0])[:, 0, 2, 2]
+    np.testing.assert_allclose(stack_shares(pixel, camera, 550.0)[1], corner, rtol=1e-8)

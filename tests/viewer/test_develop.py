@@ -34,6 +34,7 @@ from pixsim.viewer.develop_steps import (
     PLANES,
     RAW,
     STEPS,
+    _whiten,
     autocorrelation,
     developed_planes,
     noise_covariance,
@@ -799,3 +800,17 @@ def test_tone_curve_lies_next_to_its_file(tmp_path: Any) -> None:
         (0.2, 0.5),
         (1.0, 1.0),
     )
+
+
+def test_pixels_within_a_cell_of_a_saturated_one_are_neutral() -> None:
+    """A cell of 2 × 2 reaches one pixel to each side."""
+    colour = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6}
+    layout = derive(Pixel(technology="4t-bsi", pitch_um=3.0, colour=colour)).layout
+    assert layout is not None
+    planes = [np.full((9, 9), level) for level in (1.0, 2.0, 3.0)]
+    is_saturated = np.zeros((9, 9), bool)
+    is_saturated[4, 4] = True
+    _whiten(planes, is_saturated, layout)
+    neutral = np.zeros((9, 9), bool)
+    neutral[3:6, 3:6] = True
+    np.testing.assert_array_equal(planes[0] == planes[2], neutral)
