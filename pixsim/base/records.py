@@ -85,15 +85,14 @@ class Record(BaseModel, metaclass=_RecordType):
         """Pydantic converts true to 1, also within lists: `bits = true` would be a sensor of one
         bit. It cannot read names of files that are not UTF-8.
         """
+        takes_bool = cls.model_fields[info.field_name or ""].annotation is bool
         for part in parts_of(value):
             if isinstance(part, str) and not is_utf8(part):
                 raise ValueError(
                     f"got {value_text(part)}; allowed: text in UTF-8. Rename the file or its folder"
                 )
-        if cls.model_fields[info.field_name or ""].annotation is bool:
-            return value
-        for part in filter(is_bool, parts_of(value)):
-            raise ValueError(f"got {value_text(part)}; allowed: a number or a name")
+            if is_bool(part) and not takes_bool:
+                raise ValueError(f"got {value_text(part)}; allowed: a number or a name")
         return value
 
     @field_validator("*", mode="after")

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks.film_judges import Picture, other_sensor, pictures
+from benchmarks.film_judges import Picture, fallen_leaves, other_sensor, pictures
 from helpers.chains import imaging as imaging_of
 from helpers.film_pictures import CAMERA, PIXEL, WIDTH, cells, covered, delta_e_of, light
 
@@ -88,25 +88,6 @@ def print_like() -> Array:
     return page
 
 
-def fallen_leaves() -> Array:
-    """Opaque discs whose areas fall with the inverse square of their radii, as in natural
-    scenes.
-    """
-    rng, ground = np.random.default_rng(2), np.full((WIDTH, WIDTH), 0.4, np.float32)
-    for _ in range(12_000):
-        radius, (x, y) = min(6 / math.sqrt(1 - rng.random()), 500.0), rng.random(2) * WIDTH
-        rows, columns = (
-            slice(max(int(c - radius), 0), min(int(c + radius + 2), WIDTH)) for c in (y, x)
-        )
-        down, across = (
-            np.arange(rows.start, rows.stop) + 0.5 - y,
-            np.arange(columns.start, columns.stop) + 0.5 - x,
-        )
-        cover = np.clip(radius - np.hypot(down[:, None], across[None, :]) + 0.5, 0, 1)
-        ground[rows, columns] += cover * (rng.random() * 0.9 + 0.03 - ground[rows, columns])
-    return ground
-
-
 def fractal() -> Array:
     """A texture whose power falls with the square of the frequency, as in natural scenes."""
     rng = np.random.default_rng(3)
@@ -135,7 +116,7 @@ SCENES = (
     zone_plate,
     woven,
     print_like,
-    fallen_leaves,
+    partial(fallen_leaves, WIDTH, 2, count=12_000, radii=(6, 500.0)),
     fractal,
     barcodes,
 )

@@ -96,15 +96,21 @@ def wires(width: int, seed: int) -> Array:
 
 
 def leaves(width: int, seed: int) -> Array:
-    """Opaque discs whose areas fall with the inverse square of their radii, as in natural
-    scenes.
+    """Fallen leaves whose radii are shares of the width."""
+    return fallen_leaves(width, seed, count=3000, radii=(0.002, 0.12), unit=width)
+
+
+def fallen_leaves(
+    width: int, seed: int, *, count: int, radii: tuple[float, float], unit: float = 1.0
+) -> Array:
+    """Opaque discs whose areas fall with the inverse square of their radii, as in natural scenes.
+
+    radii : the least and the largest, in units
     """
     rng, ground = np.random.default_rng(seed), np.full((width, width), 0.4, np.float32)
-    for _ in range(3000):
-        radius, (x, y) = (
-            min(0.002 / math.sqrt(1 - rng.random()), 0.12) * width,
-            rng.random(2) * width,
-        )
+    for _ in range(count):
+        radius = min(radii[0] / math.sqrt(1 - rng.random()), radii[1]) * unit
+        x, y = rng.random(2) * width
         rows, columns = (
             slice(max(int(c - radius), 0), min(int(c + radius + 2), width)) for c in (y, x)
         )

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import colour
 import numpy as np
@@ -60,24 +61,17 @@ PITCH_MM = 0.005
 NYQUIST = 0.5 / PITCH_MM
 BARS = np.broadcast_to(np.tile([1.0, -1.0], 16), (32, 32))
 FIELD = SpectralImage([550.0], 10.0, 2.0, data=np.ones((16, 16, 1)), header={"diffraction": False})
-PIXEL = Pixel(
-    technology="none",
-    pitch_um=4.0,
-    full_well_e=2e4,
-    read_noise_e=4.0,
-    dark_current_e_per_s=0.0,
-    quantum_efficiency=0.6,
-    fill_factor=1.0,
-)
-STACKED = Pixel(
-    technology="none",
-    pitch_um=4.0,
-    full_well_e=2e4,
-    read_noise_e=4.0,
-    dark_current_e_per_s=0.0,
-    quantum_efficiency=0.6,
-    stack={"height_um": 6.0, "index": 1.5, "microlens": "square", "crosstalk": 0.05},
-)
+SHEET: dict[str, Any] = {
+    "technology": "none",
+    "pitch_um": 4.0,
+    "full_well_e": 2e4,
+    "read_noise_e": 4.0,
+    "dark_current_e_per_s": 0.0,
+    "quantum_efficiency": 0.6,
+}
+PIXEL = Pixel(**SHEET, fill_factor=1.0)
+STACK = {"height_um": 6.0, "index": 1.5, "microlens": "square", "crosstalk": 0.05}
+STACKED = Pixel(**SHEET, stack=STACK)
 
 
 def csf(frequency: float) -> float:
