@@ -429,7 +429,8 @@ def test_allowed_plugins_are_built(kind, assets):
         ):  # of a shape, or of two pictures
             continue
         inside = NEEDED.get(name, "") + (WEIGHT if name.startswith("blend") else "")
-        lit = SENSOR if kind == "emitter" else LIT.removeprefix('<integrator type="path"/>')
+        lit = SENSOR + '<integrator type="volpath"/>'
+        lit += "" if kind == "emitter" else '<emitter type="constant"/>'
         text = open_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
         assert InProcessTracer(
             TraceJob(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())

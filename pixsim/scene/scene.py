@@ -36,7 +36,13 @@ from pixsim.scene.contents import (
 )
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.guard.files import ASSETS
-from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
+from pixsim.scene.guard.inspector import (
+    ALLOWED_SENSOR,
+    REASONS,
+    SENSOR,
+    SceneText,
+    open_scene,
+)
 from pixsim.scene.illuminance import strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.packaged import packaged_folder, packaged_scenes
@@ -519,7 +525,7 @@ def _check_renderable(state: Tree, sensor_id: str | None) -> None:
     _read_camera(sensor, Camera().die_mm, options=options)
     film_size(state, sensor)
     sample_count(state, sensor)
-    _check_supported(state)
+    _check_air(state)
     check_textures(state)
 
 
@@ -685,10 +691,8 @@ def _positive(name: str, value: object) -> float:
     return number
 
 
-def _check_supported(state: Tree) -> None:
-    """Raise PixsimError for unsupported features: media without volumetric paths, dispersion, a
-    cropped film.
-    """
+def _check_air(state: Tree) -> None:
+    """Raise PixsimError for a camera in a medium."""
     for _, node in nodes_of(state, "Sensor"):
         if any(state.nodes[index].kind == "Medium" for index in children(node, state).values()):
             raise invalid(
@@ -697,28 +701,6 @@ def _check_supported(state: Tree) -> None:
                 "a camera in air",
                 "Let the medium begin in front of the lens.",
             )
-
-    for _, node in nodes_of(state, "Film"):
-        crop = ", ".join(name for name in node if name.startswith("crop_"))
-        if crop:
-            hint = "Remove the crop: the film is the die."
-            raise invalid("film", crop, "an uncropped film", hint)
-
-    integrators = [node.plugin for _, node in nodes_of(state, "Integrator")]
-    if nodes_of(state, "Medium") and not any(name.startswith("vol") for name in integrators):
-        got = f"a participating medium with {integrators or 'no integrator'}"
-        hint = 'Write <integrator type="volpath"/>.'
-        raise invalid("scene", got, "volpath or volpathmis for media", hint)
-
-    for _, node in nodes_of(state, "BSDF"):
-        for name in ("int_ior", "ext_ior"):
-            if name in node and node.kind_of(name) not in ("Float", "Integer", "String"):
-                raise invalid(
-                    f"{node.plugin}.{name}",
-                    "a spectrum: dispersive glass",
-                    "one index for all wavelengths, as in Mitsuba's dielectrics",
-                    "Give the index at 589 nm.",
-                )
 
 
 def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
@@ -737,9 +719,8 @@ def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
         raise invalid("scene", got, "one thinlens sensor", hint)
 
     index, node = sensors[0]
-    if node.plugin != "thinlens":
-        allowed = "thinlens, since exposure and blur need an aperture"
-        raise invalid("sensor", f"'{node.plugin}'", allowed, REASONS["sensor"])
+    if node.plugin != SENSOR:
+        raise invalid("sensor", f"'{node.plugin}'", ALLOWED_SENSOR, REASONS["sensor"])
     for name in ("principal_point_offset_x", "principal_point_offset_y"):
         offset = float(node.get(name, 0.0))
         if offset:

@@ -254,7 +254,7 @@ def _element(draw: st.DrawFn, kind: str, name: str = "", deep: int = 0) -> str:
         if content.properties
         else st.just([])
     )
-    needed = content.properties.keys() & {"filename"}
+    needed = content.properties.keys() & {"filename", *content.needs}
     inside = [
         draw(_property(content.properties[each], each, deep)) for each in {*needed, *draw(names)}
     ]
@@ -271,7 +271,7 @@ def _property(draw: st.DrawFn, rule: PropertyRule, name: str, deep: int) -> str:
     if rule.kinds and deep < 4 and draw(st.booleans()):
         return str(draw(_element(draw(st.sampled_from(rule.kinds)), name, deep + 1)))
     right = draw(st.integers(0, 19)) > 0
-    tag = draw(st.sampled_from(rule.tags if right else TAGS))
+    tag = draw(st.sampled_from(rule.tags if right and rule.tags else TAGS))
     if tag == "transform":
         return (
             "<transform"

@@ -126,7 +126,7 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a name in a comment": (loaded("<!-- $ghost -->", ghost=1), "'ghost'"),
     "a parameter of an include": (included(DEPTH, dept=2), "Did you mean 'depth'"),
     "what Mitsuba refuses": (
-        seen(CONSTANT, '\n<shape type="disk"><bsdf type="blendbsdf"><bsdf type="diffuse"/></bsdf></shape>'),
+        seen(CONSTANT, '\n<shape type="disk"><bsdf type="blendbsdf"><float name="weight" value="0"/></bsdf></shape>'),
         r"In line 5 of 'scene\.xml': .*'blendbsdf'",
     ),
     "what Mitsuba refuses of an include": (
@@ -145,7 +145,7 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         "'left', 'right'.*--sensor",
     ),
     "no such sensor": (lambda _: load("csf", sensor="tele"), "'tele'"),
-    "a pinhole": (sensors(sensor_xml(FOV, "perspective")), "'perspective'.*thinlens"),
+    "a pinhole": (sensors(sensor_xml(FOV, "perspective")), r"'perspective' in line 1 of 'scene\.xml'.*thinlens"),
     "no aperture": (sensors(sensor_xml(FOV + FOCUS)), "thinlens without aperture_radius"),
     "no focus": (sensors(sensor_xml(FOV + APERTURE)), "thinlens without focus_distance"),
     "no field of view": (sensors(sensor_xml(APERTURE + FOCUS)), "thinlens without fov"),
@@ -166,10 +166,14 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "a crop": (
         changed("csf", ('<film type="hdrfilm">', '<film type="hdrfilm"><integer name="crop_width" value="8"/>')),
-        "an uncropped film",
+        "crop_width: got <integer> in line .*the film is the die",
+    ),
+    "a film of spectra": (
+        changed("csf", ('<film type="hdrfilm">', '<film type="specfilm">')),
+        "'specfilm' in line 31 of 'csf.xml'.*pixel.quantum_efficiency",
     ),
     "a camera in a medium": (
-        sensors(sensor_xml(lens_xml() + '<medium type="homogeneous"/>')),
+        sensors('<integrator type="volpath"/>', sensor_xml(lens_xml() + '<medium type="homogeneous"/>')),
         "camera in a medium",
     ),
     # What it uses
@@ -178,11 +182,12 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         changed("macbeth", (PATH, '<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>')),
         "got 'aov'",
     ),
-    "a medium by path": (changed("macbeth", (END, '<medium type="homogeneous" id="fog"/>')), "volpath"),
+    "a medium by path": (changed("macbeth", (END, '<medium type="homogeneous" id="fog"/>')), "'path' in line .*volpath"),
     "dispersive glass": (
         changed("still_life", ('<float name="int_ior" value="1.5"/>', '<spectrum name="int_ior" value="400:1.6,700:1.5"/>')),
-        "dispersive",
+        "<spectrum> in line .* 589 nm",
     ),
+    "a picture without a file": (loaded(ball("diffuse", '<texture type="bitmap" name="reflectance"/>')), "bitmap: got no filename in line"),
     "a colour as an index": (loaded(CONSTANT, metal('<texture type="srgb" name="eta"><rgb name="color" value=".1 .3 .9"/></texture>')), r"conductor\.eta.*material.*<spectrum>"),
     "an RGB index in a file": (lambda _: load(CASES / "4-05-metal-rgb-eta-k/gold_rgb.xml"), r"eta.* in line 10"),
     "an index of one value": (

@@ -32,8 +32,14 @@ VALUES = (
     "transform",
 )
 _STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
+SENSOR = "thinlens"
+ALLOWED_SENSOR = f"{SENSOR}, since exposure and blur need an aperture"
 # Why some plugins of Mitsuba are not in the table.
 REASONS = {
+    "film": (
+        'Write <film type="hdrfilm">: what a sensor responds to is stated of its pixel, as'
+        " pixel.quantum_efficiency or pixel.colour."
+    ),
     "integrator": (
         'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.'
     ),
@@ -48,7 +54,7 @@ MAX_NAME = 256
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
 # As Mitsuba names an element of a text, and what it quotes.
 _LINE_OF_TEXT = re.compile(
-    r"(?:\b[Aa]t|Error while loading) string \(line (\d{1,9}), col \d{1,9}\)"
+    r"(?:\b[Aa]t|\b(?:Error w|W)hile loading) string \(line (\d{1,9}), col \d{1,9}\)"
 )
 _QUOTED = re.compile(r'"([^"]*)(?:"|$)')  # a long message ends within a quotation
 
@@ -134,6 +140,7 @@ class _Inspector:
     def __init__(self, files: SceneFiles) -> None:
         self.files = files
         self.table_characters_left = MAX_TABLES
+        self.has_medium = False
 
     def scene(self, root: SceneElement) -> SceneElement:
         if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
@@ -143,14 +150,41 @@ class _Inspector:
                 "<scene> as the first element",
             )
         inspected = self.object(replace(root, attributes={"type": "scene"}), "scene")
+        self.check_sensors(inspected)
+        self.check_media(inspected)
         return replace(inspected, attributes={"version": root.attributes["version"]})
+
+    def check_sensors(self, scene: SceneElement) -> None:
+        """Raise PixsimError for a scene whose sensors have no aperture."""
+        sensors = [child for child in scene.children if child.tag == "sensor"]
+        if sensors and all(sensor.attributes["type"] != SENSOR for sensor in sensors):
+            got = f"'{sensors[0].attributes['type']}' in {sensors[0].place}"
+            raise invalid("sensor", got, ALLOWED_SENSOR, REASONS["sensor"])
+
+    def check_media(self, scene: SceneElement) -> None:
+        """Raise PixsimError for a medium that the integrator leaves out."""
+        integrators = [child for child in scene.children if child.tag == "integrator"]
+        if not self.has_medium or any(
+            integrator.attributes["type"].startswith("vol") for integrator in integrators
+        ):
+            return
+        got = "none"
+        if integrators:
+            got = f"'{integrators[0].attributes['type']}' in {integrators[0].place}"
+        raise invalid(
+            "integrator",
+            f"{got} with a participating medium",
+            "volpath or volpathmis for media",
+            'Write <integrator type="volpath"/>.',
+        )
 
     def object(self, node: SceneElement, kind: str) -> SceneElement:
         """Return an object with its children inspected."""
+        self.has_medium |= kind == "medium"
         name = node.attributes.get("type", "")
         plugin = PLUGINS[kind].get(name)
         if plugin is None:
-            hint = did_you_mean(name, PLUGINS[kind]) or REASONS.get(kind, "")
+            hint = REASONS.get(kind) or did_you_mean(name, PLUGINS[kind])
             raise invalid(kind, f"{quoted(name)} in {node.place}", ", ".join(PLUGINS[kind]), hint)
         for attribute in ("id", "name"):
             value = node.attributes.get(attribute, "")
@@ -172,6 +206,8 @@ class _Inspector:
                 )
             names.add(child_name)
             children.append(self.child(child, name, plugin))
+        if missing := [need for need in plugin.needs if need not in names]:
+            raise invalid(name, f"no {missing[0]} in {node.place}", f"a {name} with {missing[0]}")
         return replace(node, children=tuple(children))
 
     def child(self, node: SceneElement, parent: str, plugin: Plugin) -> SceneElement:
@@ -190,12 +226,12 @@ class _Inspector:
         kinds = rule.kinds if rule else plugin.holds
         if kind in PLUGINS and kind in kinds:
             return self.object(node, kind)
-        if kind in PLUGINS or rule is None:
+        if rule is None:
             raise _unknown_child(node, parent, plugin)
 
         what = f"{parent}.{name}"
         if kind not in rule.tags:
-            allowed = " or ".join(f"<{tag}>" for tag in (*rule.tags, *rule.kinds))
+            allowed = " or ".join(f"<{tag}>" for tag in (*rule.tags, *rule.kinds)) or "none"
             raise invalid(what, f"<{kind}> in {node.place}", allowed, rule.instead)
         if kind == "transform":
             for step in node.children:

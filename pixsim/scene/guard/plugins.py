@@ -26,7 +26,7 @@ class PropertyRule:
     instead : what to write in place of an element that is not allowed
     """
 
-    tags: tuple[str, ...]
+    tags: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
     file: str | None = None
     instead: str = ""
@@ -34,10 +34,14 @@ class PropertyRule:
 
 @dataclass(frozen=True)
 class Plugin:
-    """The properties of a plugin, and the kinds of plugins that it may hold under any name."""
+    """The properties of a plugin, and the kinds of plugins that it may hold under any name.
+
+    needs : properties without which Mitsuba crashes
+    """
 
     properties: dict[str, PropertyRule] = field(default_factory=dict)
     holds: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
 
 
 NUMBER = PropertyRule(_NUMBER_TAGS)
@@ -47,8 +51,13 @@ TEXT = PropertyRule(("string",))
 _TRANSFORM = PropertyRule(("transform",))
 _POINT = PropertyRule(("point", "vector"))
 COLOUR = PropertyRule(_COLOUR_TAGS, kinds=("texture",))
-# A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
-INDEX = PropertyRule(("string", *_COLOUR_TAGS), kinds=("texture",))
+INDEX = PropertyRule(
+    ("string", *_NUMBER_TAGS),
+    instead=(
+        "Give the index at 589 nm: dielectrics of Mitsuba have one index for all wavelengths."
+    ),
+)
+_CROP = PropertyRule(instead="Remove the crop: the film is the die.")
 _METAL_INDEX = replace(COLOUR, tags=(*_NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
 VOLUME = PropertyRule(_COLOUR_TAGS, kinds=("volume",))
 PICTURE_FILE, MESH_FILE, GRID_FILE, METAL_NAME = (
@@ -87,9 +96,10 @@ _THIN_LENS = _PERSPECTIVE | _properties(NUMBER, "aperture_radius focus_distance"
 _SAMPLER = _properties(WHOLE, "sample_count seed")
 _JITTERED_SAMPLER = _SAMPLER | _properties(_FLAG, "jitter")
 _FILM = (
-    _properties(WHOLE, "width height crop_width crop_height crop_offset_x crop_offset_y")
+    _properties(WHOLE, "width height")
+    | _properties(_CROP, "crop_width crop_height crop_offset_x crop_offset_y")
     | _properties(_FLAG, "sample_border compensate banner")
-    | _properties(TEXT, "component_format")
+    | _properties(TEXT, "component_format file_format pixel_format")
 )
 _BITMAP = (
     _properties(PICTURE_FILE, "filename")
@@ -179,12 +189,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "perspective": Plugin(_THIN_LENS, holds=_SENSOR_CHILDREN),
         "orthographic": Plugin(_SENSOR, holds=_SENSOR_CHILDREN),
     },
-    "film": {
-        "hdrfilm": Plugin(
-            _FILM | _properties(TEXT, "file_format pixel_format"), holds=("rfilter",)
-        ),
-        "specfilm": Plugin(_FILM, holds=("rfilter", "texture")),
-    },
+    "film": {"hdrfilm": Plugin(_FILM, holds=("rfilter",))},
     "sampler": {
         **dict.fromkeys(("independent", "ldsampler"), Plugin(_SAMPLER)),
         **dict.fromkeys(("stratified", "multijitter"), Plugin(_JITTERED_SAMPLER)),
@@ -266,7 +271,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "principledthin": Plugin(_PRINCIPLED | _PRINCIPLED_THIN),
         "twosided": Plugin(holds=("bsdf",)),
         "mask": Plugin(_properties(COLOUR, "opacity"), holds=("bsdf",)),
-        "blendbsdf": Plugin(_properties(COLOUR, "weight"), holds=("bsdf",)),
+        "blendbsdf": Plugin(_properties(COLOUR, "weight"), holds=("bsdf",), needs=("weight",)),
         "bumpmap": Plugin(_NORMAL_MAP | _properties(NUMBER, "scale"), holds=("bsdf", "texture")),
         "normalmap": Plugin(
             _NORMAL_MAP | _properties(COLOUR, "normalmap"), holds=("bsdf", "texture")
@@ -274,12 +279,12 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "null": Plugin(),
     },
     "texture": {
-        "bitmap": Plugin(_BITMAP),
+        "bitmap": Plugin(_BITMAP, needs=("filename",)),
         "checkerboard": Plugin(
             _properties(COLOUR, "color0 color1") | _properties(_TRANSFORM, "to_uv")
         ),
         "mesh_attribute": Plugin(_properties(TEXT, "name") | _properties(NUMBER, "scale")),
-        "volume": Plugin(holds=("volume",)),
+        "volume": Plugin({"volume": PropertyRule(kinds=("volume",))}, needs=("volume",)),
         "uniform": Plugin(_SPECTRUM_TABLE | _properties(NUMBER, "value")),
         "regular": Plugin(_SPECTRUM_TABLE | _properties(TEXT, "values range")),
         "irregular": Plugin(_properties(TEXT, "wavelengths values")),
