@@ -283,7 +283,12 @@ _Define = Annotated[
     list[str] | None,
     SEVERAL,
     Parameter(
-        name=["-D", "--define"], help="Set a scene parameter: name=value.", metavar="NAME=VALUE"
+        name=["-D", "--define"],
+        help=(
+            "Set a scene parameter: name=value. Every scene takes resolution and spp: the film's"
+            " samples across, and the samples for each of its cells."
+        ),
+        metavar="NAME=VALUE",
     ),
 ]
 Metrics = Annotated[

@@ -39,7 +39,7 @@ from pixsim.scene.film import GREEN_NM
 from pixsim.scene.inspection import Inspection, inspect_scene
 from pixsim.scene.real_lens import decide_real_lens, out_of_focus, real_lens_warnings
 from pixsim.scene.rules import TEXTURE_SAMPLES, TOLERANCE_E, Chart, Decision
-from pixsim.scene.scene import Scene, film_size, sample_count
+from pixsim.scene.scene import RESOLUTION, SAMPLES_PER_CELL, Scene
 from pixsim.scene.white_plate import plate_distance_m, plate_transform
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
@@ -480,10 +480,9 @@ def _plan_inspected_scene(
     chart: Chart | None = None
     if lens == "perspective":
         chart = rules.lone_chart(state, thin_camera, bodies, inspection.shape)
-    scene_spp = sample_count(state, inspection.sensor)
-    given_spp = "spp" in scene.parameters
-    scene_width = max(1, film_size(state, inspection.sensor)[1])
-    finer = (inspection.shape[1] / scene_width) ** 2
+    scene_spp = scene.sample_count(state)
+    given_spp = SAMPLES_PER_CELL in scene.parameters
+    finer = (inspection.shape[1] / scene.film_size(state)[1]) ** 2
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, full, given_spp, finer)
 
     # Film
@@ -792,7 +791,7 @@ def decide_oversampling(
     is_free = scene.resolution is None
 
     # A scene without detail
-    may_be_coarse = is_free and "resolution" not in scene.parameters and not full
+    may_be_coarse = is_free and RESOLUTION not in scene.parameters and not full
     if is_uniform and may_be_coarse and width > UNIFORM_RESOLUTION:
         error = _fall_off_error(camera, UNIFORM_RESOLUTION)
         if plan.bound_e + error <= plan.tolerance_e:

@@ -35,14 +35,8 @@ from pixsim.scene.contents import (
     white_spectra,
 )
 from pixsim.scene.film import FILM_ROUNDING
-from pixsim.scene.guard.files import ASSETS
-from pixsim.scene.guard.inspector import (
-    ALLOWED_SENSOR,
-    REASONS,
-    SENSOR,
-    SceneText,
-    open_scene,
-)
+from pixsim.scene.guard.files import ASSETS, WHOLE_NUMBER
+from pixsim.scene.guard.inspector import ALLOWED_SENSOR, REASONS, SENSOR, SceneText, open_scene
 from pixsim.scene.illuminance import strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.packaged import packaged_folder, packaged_scenes
@@ -73,6 +67,10 @@ _CHART_HALF_WIDTH = "chart_half_width"
 _CHART_HALF_HEIGHT = "chart_half_height"
 _ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 _ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
+# Parameters of the film's samples across and of the samples for each of its cells: every scene
+# takes them, also one whose XML has none of this name.
+RESOLUTION = "resolution"
+SAMPLES_PER_CELL = "spp"
 _LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 # a <default> that only pixsim reads: the luminance that the display shows as white
 WHITE = "white_cd_per_m2"
@@ -172,7 +170,7 @@ class Scene:
         die_mm = options.die_mm if lens_is_fixed and options.die_mm else Camera().die_mm
         state = self.parse()
         sensor = sensor_node(state, self.sensor_id)[1]
-        height, width = film_size(state, sensor)
+        height, width = self.film_size(state)
 
         # A real lens replaces the aperture as an option does.
         scene_options = options
@@ -295,7 +293,7 @@ class Scene:
 
         state : the parsed tree, as from `parse`
         """
-        height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
+        height, width = self.film_size(state)
         if self.resolution is None and camera.die_height_mm is None:
             return height, width
 
@@ -304,6 +302,51 @@ class Scene:
             ratio = camera.height_mm / camera.die_mm
         film_width = width if self.resolution is None else self.resolution
         return max(1, math.ceil(film_width * ratio - FILM_ROUNDING)), film_width
+
+    def film_size(self, state: Tree) -> tuple[int, int]:
+        """Return (height, width) of the scene's film in samples.
+
+        state : the parsed tree, as from `parse`
+
+        Raises PixsimError if one is out of range.
+        """
+        film = _child(state, sensor_node(state, self.sensor_id)[1], "Film")
+        height = _whole(film, "height", 576)
+        width = _whole(film, "width", 768)
+        across = self._number_beside_xml(RESOLUTION)
+        if across is not None:
+            height = max(1, math.ceil(across * height / max(width, 1) - FILM_ROUNDING))
+            width = across
+        for side in (width, height):
+            check_resolution(side)
+        return height, width
+
+    def sample_count(self, state: Tree) -> int:
+        """Return the samples per film cell.
+
+        state : the parsed tree, as from `parse`
+
+        Raises PixsimError if they are out of range.
+        """
+        sampler = _child(state, sensor_node(state, self.sensor_id)[1], "Sampler")
+        count = self._number_beside_xml(SAMPLES_PER_CELL)
+        if count is None:
+            count = _whole(sampler, "sample_count", 4)
+        low, high = _ALLOWED_SAMPLES
+        if not low <= count <= high:
+            raise invalid(SAMPLES_PER_CELL, count, f"{low} to {high}")
+        return count
+
+    def _number_beside_xml(self, name: str) -> int | None:
+        """Return the whole number of a parameter that the XML does not use; None if it is not
+        stated, or the XML uses it.
+        """
+        text = self.parameters.get(name)
+        if text is None or name in self.names:
+            return None
+        if not WHOLE_NUMBER.fullmatch(text):
+            raise invalid(name, value_text(text), "a whole number")
+        return int(text)
 
     def with_resolution(self, resolution: FilmSamples) -> Scene:
         """Return the scene on a film of `resolution` samples across."""
@@ -414,12 +457,13 @@ def load_scene(
     variant : Mitsuba variant. None takes the graphics card if it passed its trial, else the
         processors
     sensor : id of the sensor, if the scene has several
-    parameters : values of the scene's <default> parameters; in a scene with a parameter
-        `emitter_scale`, `luminance_cd_per_m2` sets the luminance of texel value 1, and `lux` the
-        illuminance in which a white diffuser has it, π times as much; in a scene with a <default>
-        `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one
-        factor; `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the
-        fields of `scene.target.Target` set what the scene target shows, on a background of
+    parameters : values of the scene's <default> parameters. In any scene, `resolution` sets the
+        film's samples across the die, and `spp` the samples for each of its cells. In a scene with
+        a parameter `emitter_scale`, `luminance_cd_per_m2` sets the luminance of texel value 1, and
+        `lux` the illuminance in which a white diffuser has it, π times as much; in a scene with a
+        <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white
+        by one factor; `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart,
+        and the fields of `scene.target.Target` set what the scene target shows, on a background of
         `luminance_cd_per_m2`; `chart` may name a picture (`scene.own_chart.read_luminance`),
         decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says what
         surfaces are where lamps shine and their spectra end; `assets` names a folder whose files
@@ -470,7 +514,7 @@ def load_scene(
         loaded = _with_target(loaded)
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
     loaded = _with_white_lamps(loaded, text, special[WHITE_LAMPS])
-    _check_renderable(loaded.parse(), sensor)
+    _check_renderable(loaded)
 
     # Parameters that scale it
     if luminance is not None:
@@ -517,14 +561,15 @@ def _with_white_lamps(scene: Scene, text: SceneText, names: object) -> Scene:
     return replace(scene, white_lamps=white_lamps)
 
 
-def _check_renderable(state: Tree, sensor_id: str | None) -> None:
+def _check_renderable(scene: Scene) -> None:
     """Raise PixsimError for what cannot be rendered."""
-    sensor = sensor_node(state, sensor_id)[1]
+    state = scene.parse()
+    sensor = sensor_node(state, scene.sensor_id)[1]
     # Another f-number may be chosen.
     options = CameraOptions(f_number=Camera().f_number)
     _read_camera(sensor, Camera().die_mm, options=options)
-    film_size(state, sensor)
-    sample_count(state, sensor)
+    scene.film_size(state)
+    scene.sample_count(state)
     _check_air(state)
     check_textures(state)
 
@@ -543,7 +588,12 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     }
     stated = text.names | text.defaults.keys()
     allowed = text.names | {name for name, others in needed.items() if others & stated}
-    allowed |= {ASSETS, *_PARAMETERS_OF_CHARTS.get(packaged_chart, ())}
+    allowed |= {
+        ASSETS,
+        RESOLUTION,
+        SAMPLES_PER_CELL,
+        *_PARAMETERS_OF_CHARTS.get(packaged_chart, ()),
+    }
     unknown = [name for name in names if name not in allowed]
     if not unknown:
         return
@@ -733,33 +783,11 @@ def sensor_node(state: Tree, sensor_id: str | None) -> tuple[int, Node]:
     return index, node
 
 
-def film_size(state: Tree, sensor: Node) -> tuple[int, int]:
-    """Return (height, width) of the sensor's film in samples. Raises PixsimError if one is out of
-    range.
-    """
-    film = _child(state, sensor, "Film")
-    size = _whole(film, "height", 576), _whole(film, "width", 768)
-    for side in size:
-        check_resolution(side)
-    return size
-
-
 def check_resolution(side: int) -> None:
     """Raise PixsimError for a film with a side of that many samples that cannot be rendered."""
     low, high = _ALLOWED_RESOLUTION
     if not low <= side <= high:
-        raise invalid("resolution", side, f"{low} to {high}")
-
-
-def sample_count(state: Tree, sensor: Node) -> int:
-    """Return the samples per film cell of the sensor's sampler. Raises PixsimError if they are out
-    of range.
-    """
-    count = _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
-    low, high = _ALLOWED_SAMPLES
-    if not low <= count <= high:
-        raise invalid("spp", count, f"{low} to {high}")
-    return count
+        raise invalid(RESOLUTION, side, f"{low} to {high}")
 
 
 def _child(state: Tree, sensor: Node, kind: str) -> Node | None:

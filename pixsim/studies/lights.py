@@ -25,7 +25,7 @@ from pixsim.optics.camera_lens import rendered_camera
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
-from pixsim.scene.scene import Scene
+from pixsim.scene.scene import RESOLUTION, Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.motion_options import NO_MOTION
@@ -228,7 +228,7 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
         return request.film_error(image, plan, progress=part)
 
     fixed = "set by resolution" if settings.resolution else ""
-    is_free = not fixed and "resolution" not in scene.parameters
+    is_free = not fixed and RESOLUTION not in scene.parameters
     bounds_error = settings.tolerance_delta_e is not None
     light, plan = render_on_film(
         scene,

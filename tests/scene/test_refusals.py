@@ -134,6 +134,8 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         r"In line 4 of 'part\.xml': .*'twosided'",
     ),
     "a sample count": (lambda _: load("flat", spp=2**20 + 1), "spp: got 1048577"),
+    "samples of any scene": (loaded(spp=0), "spp: got 0; allowed: 1 to"),
+    "a film of any scene": (loaded(resolution=8.5), "resolution: got '8.5'; allowed: a whole number"),
     "a film": (
         lambda _: pixsim.render(load("flat", resolution=16385)),
         "resolution: got 16385",

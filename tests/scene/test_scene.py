@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.chains import imaging
+from helpers.commands import command
 from helpers.edits import edited, lens_xml, load, scene_file, sensor_xml
 from helpers.lamps import D65_LUMINANCE, d65_radiance
 
@@ -28,6 +29,7 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.scene import Scene, sensor_node
 from pixsim.scene.white_plate import plate_distance_m, plate_transform
+from pixsim.studies.study import prepare
 from pixsim.viewer.display import white_light
 from pixsim.viewer.screen import white_header
 
@@ -375,11 +377,24 @@ def test_content_hash_changes_with_nodes_and_meshes(tmp_path: Path) -> None:
     assert load(path).content_hash in hashes
 
 
-def test_a_sensor_without_film_and_sampler_has_those_of_mitsuba(tmp_path: Path) -> None:
+def test_film_and_samples_are_mitsubas_or_those_that_the_user_states(tmp_path: Path) -> None:
     sensor = f'<sensor type="thinlens">{lens_xml()}</sensor>'
-    scene = load(scene_file(tmp_path, sensor, '<emitter type="constant"/>', BALL.format(0.1)))
+    path = scene_file(tmp_path, sensor, '<emitter type="constant"/>', BALL.format(0.1))
+    scene = load(path)
     assert scene.film_shape(pixsim.Camera(), scene.parse()) == (576, 768)
     assert make_render_plan(scene).samples.full_spp == 4
+
+    # Every scene takes those that the user states: in Python, in files and on the command line.
+    stated = {"resolution": 16, "spp": 9}
+    assert make_render_plan(load(path, **stated)).samples.full_spp == 9
+    file = tmp_path / "film.toml"
+    file.write_text("[scene]\nresolution = 16\nspp = 9", encoding="utf-8")
+    for words in ("-D resolution=16,spp=9", f"--config {file}"):
+        code, out, _ = command(f"plan {path} --json {words}")
+        assert (code, json.loads(out)["spp_full"]) == (0, 9)
+    study = pixsim.Study(name="film", scene={"file": str(path), "parameters": stated})
+    scene = prepare(study).cases[0].scene
+    assert (scene.film_size(scene.parse()), scene.sample_count(scene.parse())) == ((12, 16), 9)
 
 
 EVERY_KIND = """<scene version="3.0.0">

@@ -41,7 +41,7 @@ _MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
 _MAX_SUBSTITUTED = 20_000  # parameters in all attributes
 _OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
 _DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
-_WHOLE = re.compile(r"[+-]?\d+")
+WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
 _TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
 
 
@@ -194,7 +194,7 @@ def _check_number(tag: str, written: dict[str, str], parameters: dict[str, str])
     """
     name = written.get("value", "").removeprefix("$")
     value = parameters.get(name, "0").strip()
-    if tag == "integer" and not _WHOLE.fullmatch(value):
+    if tag == "integer" and not WHOLE_NUMBER.fullmatch(value):
         raise invalid(name, value_text(value), "a whole number")
     if tag == "float" and not NUMBER.fullmatch(value):
         raise invalid(name, value_text(value), "a number")
