@@ -356,7 +356,8 @@ def test_version_is_consistent() -> None:
 # What the rest of pixsim may take from scene/guard: an inspected scene, and what traces it.
 DOORS = {
     "scene.guard.files": {"ASSETS"},
-    "scene.guard.inspector": {"open_scene", "SceneText", "REASONS"},
+    "scene.guard.dictionary": {"scene_and_parameters", "is_written", "stated_file", "SCENE_FILE"},
+    "scene.guard.inspector": {"open_scene", "SceneText", "REASONS", "SENSOR", "ALLOWED_SENSOR"},
     "scene.guard.child": {"ChildTracer"},
     "scene.guard.in_process": {"InProcessTracer"},
 }

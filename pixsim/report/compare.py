@@ -19,7 +19,7 @@ from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
 from pixsim.base.schema import result_data
 from pixsim.base.tables import columns_of
-from pixsim.base.toml import SETTINGS_FILE, whole_path
+from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
@@ -47,6 +47,7 @@ from pixsim.report.verdicts import (
     verdict_parts,
 )
 from pixsim.report.wording import DELTA_E
+from pixsim.scene.guard.dictionary import stated_file
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import write_frame
 from pixsim.show.document import (
@@ -85,7 +86,7 @@ from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
 from pixsim.studies.design import BASE, Case, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
-from pixsim.studies.files import scene_table, settings_text
+from pixsim.studies.files import scene_copy, scene_table, scene_to_repeat, settings_text
 from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.run import check_raw
 from pixsim.studies.sensors import SENSOR_TABLES, ComparisonJob, SensorGroup, pixels_of
@@ -225,7 +226,7 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
         cases = study.model_dump(mode="json", include={"axis", "condition", "detail"})
         tables |= {name: value for name, value in cases.items() if value}
         tables["name"] = study.name
-        tables["scene"] = {"file": whole_path(study.scene.file), "parameters": parameters}
+        tables["scene"] = {"file": scene_to_repeat(study.scene.file), "parameters": parameters}
     texts = {SETTINGS_FILE: settings_text(first, command, **tables)}
 
     # The files of the sensors have their own tables only.
@@ -249,7 +250,7 @@ def _repeating_command(job: ComparisonJob, files: Sequence[str], has_study: bool
     if has_study:
         words += ["--study", SETTINGS_FILE]
     else:
-        words += ["--scene", whole_path(job.shown.scene), "--config", SETTINGS_FILE]
+        words += ["--scene", scene_to_repeat(job.shown.scene), "--config", SETTINGS_FILE]
     if len(job.matches) == 1:
         words += ["--match", job.match]
     words += ["--repeats", str(job.repeats)]
@@ -312,7 +313,7 @@ def comparison_page(result: Comparison, raw_suffixes: Sequence[str] = ()) -> Doc
         lead=(_slider(result), *facts(result), *notes(result)),
         sections=_sections(result, end),
         writers=(write_frames,),
-        files={**pictures, **_settings_files(result.job)},
+        files={**pictures, **_settings_files(result.job), **scene_copy(result.job.shown.scene)},
     )
 
 
@@ -489,7 +490,7 @@ def data(result: Comparison) -> dict[str, Any]:
         "names": list(result.names),
         "match": job.match,
         "repeats": job.repeats,
-        "scene": group.scene,
+        "scene": stated_file(group.scene),
     }
     if job.study is not None:
         content["study"] = {"name": job.study.name}

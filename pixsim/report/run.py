@@ -42,7 +42,6 @@ from pixsim.report.wording import (
     view_words,
 )
 from pixsim.scene.convergence import repeatable_settings
-from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import write_frame
@@ -66,7 +65,7 @@ from pixsim.show.pages import Plate, figure_files
 from pixsim.show.pictures import delta_e_png, factor_for, light_png, scale, scale_end, worst_window
 from pixsim.show.presenter import Presenter
 from pixsim.show.render import PAGE
-from pixsim.studies.files import scene_table, settings_text
+from pixsim.studies.files import scene_copy, scene_table, scene_to_repeat, settings_text
 from pixsim.studies.merit import detail_terms, extent, run_neq
 from pixsim.studies.run import RunResult, Threshold
 from pixsim.studies.table import ROWS_FILE, Store
@@ -263,6 +262,7 @@ def run_page(
             "delta_e.png": delta_e,
             SETTINGS_FILE: run_settings_text(result.prepared, irradiance),
             ROWS_FILE: _run_csv(result),
+            **scene_copy(result.prepared.file),
         },
     )
 
@@ -775,7 +775,7 @@ def _absolute_source(job: Job[Run]) -> str:
     """Return the scene or picture of a run, for a command in another folder."""
     if job.cases[0].picture:
         return str(Path(job.file).resolve())
-    return job.file if job.file in packaged_scenes() else str(job.cases[0].scene.path)
+    return scene_to_repeat(job.file)
 
 
 PRESENTER = Presenter(

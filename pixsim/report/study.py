@@ -40,6 +40,7 @@ from pixsim.report.study_facts import study_facts, study_notes
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_csv, uncertainty_sections
 from pixsim.report.views import Views, map_end, study_views
 from pixsim.report.wording import DELTA_E, film_words, rendered_words, weighted_answer
+from pixsim.scene.guard.dictionary import stated_file
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
@@ -81,6 +82,7 @@ from pixsim.studies.claims import (
 )
 from pixsim.studies.curve import Curve
 from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.files import scene_copy
 from pixsim.studies.merit import (
     detail_frequency_lp_per_mm,
     longest_path_um,
@@ -366,6 +368,7 @@ def with_files_of_study(page: Document, result: StudyResult) -> Document:
     and its sensor types.
     """
     files = {SETTINGS_FILE: result.settings_toml} if result.settings_toml else {}
+    files |= scene_copy(result.study.scene.file)
     types = uncertainty_csv(result.uncertainty)
     sections = *uncertainty_sections(result.uncertainty), *page.sections
     return replace(page, files={**files, **types, **page.files}, sections=sections)
@@ -451,6 +454,7 @@ def study_data(result: StudyResult, content: Mapping[str, Any], **shared: Any) -
     shared : further entries that the JSON of all commands has
     """
     settings = result.study.model_dump(mode="json")
+    settings["scene"]["file"] = stated_file(result.study.scene.file)
     uncertainty = [distribution.as_dict() for distribution in result.uncertainty]
     further = {"chosen": result.view, **content, "uncertainty": uncertainty}
     entries = {

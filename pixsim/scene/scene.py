@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from pixsim.base import caller
 from pixsim.base.bounds import LARGEST, SMALLEST, value_text
@@ -35,7 +36,8 @@ from pixsim.scene.contents import (
     white_spectra,
 )
 from pixsim.scene.film import FILM_ROUNDING
-from pixsim.scene.guard.files import ASSETS, WHOLE_NUMBER
+from pixsim.scene.guard.dictionary import scene_and_parameters
+from pixsim.scene.guard.files import ASSETS
 from pixsim.scene.guard.inspector import ALLOWED_SENSOR, REASONS, SENSOR, SceneText, open_scene
 from pixsim.scene.illuminance import strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
@@ -71,6 +73,7 @@ _ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
 # takes them, also one whose XML has none of this name.
 RESOLUTION = "resolution"
 SAMPLES_PER_CELL = "spp"
+_MAX_DIGITS = 18
 _LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 # a <default> that only pixsim reads: the luminance that the display shows as white
 WHITE = "white_cd_per_m2"
@@ -344,7 +347,7 @@ class Scene:
         text = self.parameters.get(name)
         if text is None or name in self.names:
             return None
-        if not WHOLE_NUMBER.fullmatch(text):
+        if not text.isdecimal() or len(text) > _MAX_DIGITS:
             raise invalid(name, value_text(text), "a whole number")
         return int(text)
 
@@ -443,17 +446,18 @@ def scene_path(scene: str | os.PathLike[str]) -> Path:
 
 
 def load_scene(
-    scene: str | os.PathLike[str],
+    scene: str | os.PathLike[str] | Mapping[str, Any],
     *,
     variant: str | None = None,
     sensor: str | None = None,
     **parameters: object,
 ) -> Scene:
-    """Load a scene from an XML file, or a packaged one by its name.
+    """Load a scene from an XML file or a dictionary, or a packaged one by its name.
 
     Parameters
     ----------
-    scene : path, or a name as in `pixsim run`
+    scene : path, or a name as in `pixsim run`; or a dictionary of plain values as for
+        `mitsuba.load_dict`, with a transform as its 16 numbers, row by row
     variant : Mitsuba variant. None takes the graphics card if it passed its trial, else the
         processors
     sensor : id of the sensor, if the scene has several
@@ -467,7 +471,7 @@ def load_scene(
         `luminance_cd_per_m2`; `chart` may name a picture (`scene.own_chart.read_luminance`),
         decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says what
         surfaces are where lamps shine and their spectra end; `assets` names a folder whose files
-        the scene may name, besides its own
+        the scene may name, besides its own; of a dictionary, by default the working directory
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there
     is no sensor or more than one, the sensor is not a thin lens, or LLVM is too old.
@@ -475,7 +479,8 @@ def load_scene(
     >>> load_scene("csf", resolution=64).camera().focal_length_mm
     3.86
     """
-    path = scene_path(scene)
+    file, parameters = scene_and_parameters(scene, parameters)
+    path = scene_path(file)
 
     # Parameters that pixsim reads itself, and those of the XML
     special = {

@@ -33,6 +33,7 @@ from pixsim.base.result import Result
 from pixsim.base.schema import KEY, check_not_newer
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import SpectralImage
+from pixsim.scene.guard.dictionary import scene_and_parameters
 from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.studies.comparison import ComparedSensor, Comparison
@@ -345,7 +346,7 @@ def _shortened(value: object) -> str:
 
 def compare(
     files: Sequence[str | os.PathLike[str]],
-    scene: str | os.PathLike[str] | None = None,
+    scene: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     *,
     study: Study | str | os.PathLike[str] | None = None,
     match: Match | None = None,
@@ -375,7 +376,8 @@ def compare(
 
     files : of the sensors: TOML files with a table [pixel], such as data sheets; files of
         technologies, or names of packaged ones. The first is the reference
-    scene : XML file or name of a packaged scene. None means the scene of the study, or csf
+    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene. None means
+        the scene of the study, or csf
     study : a Study, the name of a packaged one, or a TOML file. Its scene, display, exposure and
         conditions hold for all sensors, and its lens for files that state none. Under conditions,
         the result holds for the weighted mean over them, and has `conditions`. With axes, the
@@ -424,6 +426,9 @@ def compare(
     (['0.35um', '4t-bsi'], True)
     """
     check_supported("comparison", light=light, without=without)
+    file = None
+    if scene is not None:
+        file, parameters = scene_and_parameters(scene, parameters)
     options = tables_of_python(settings, metrics)
     options |= {"scene": dict(parameters)} if parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
@@ -433,7 +438,7 @@ def compare(
     with collected_notes():  # the preparation warns, too
         job = prepare(
             files,
-            scene,
+            file,
             study=study,
             match=match,
             repeats=repeats,

@@ -18,6 +18,9 @@ from pixsim.base.toml import packaged, read_toml, resolve_file, settings_table_t
 from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
 from pixsim.optics.camera import Camera
 from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
+from pixsim.scene.guard.dictionary import SCENE_FILE, is_written, scene_and_parameters, stated_file
+from pixsim.scene.guard.files import ASSETS
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
 from pixsim.studies.settings import (
     Study,
@@ -139,13 +142,32 @@ def _without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
     return axis | ({"values": resolved_values} if resolved_values else {})
 
 
+def scene_to_repeat(file: str) -> str:
+    """Return a scene as the settings of a result name it: the copy of a dictionary beside them, the
+    name of a packaged scene, or a whole path.
+    """
+    is_beside = is_written(file) or file in packaged_scenes()
+    return stated_file(file) if is_beside else whole_path(file)
+
+
+def scene_copy(file: str) -> dict[str, str]:
+    """Return the file that a result has of a scene that was a dictionary, as name -> text; empty
+    for other scenes.
+    """
+    return {SCENE_FILE: Path(file).read_text(encoding="ascii")} if is_written(file) else {}
+
+
 def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters of a scene for a settings file: numbers as such, and files of the
-    working directory by their whole paths.
+    """Return the parameters of a scene for a settings file: numbers as such, and files and the
+    folder `assets` of the working directory by their whole paths.
 
     folder : of the scene, in which its own files lie
     """
-    return {name: _scene_value(folder, value) for name, value in parameters.items()}
+    table = {name: _scene_value(folder, value) for name, value in parameters.items()}
+    assets = table.get(ASSETS)
+    if isinstance(assets, str) and not (folder / assets).is_dir():
+        table[ASSETS] = str(Path(assets).resolve())
+    return table
 
 
 def _scene_value(folder: Path, value: object) -> object:
@@ -337,7 +359,7 @@ def load_study(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
-    scene: str | os.PathLike[str] | None = None,
+    scene: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     quick: bool = False,
     **settings: object,
 ) -> Study:
@@ -350,7 +372,7 @@ def load_study(
     parameters : of the scene; they override the parameters of the study
     pixel : fields of the pixels, each in its unit, which override the pixels of the study and the
         files; a data sheet may stand here instead of in a file, with its pitch_um
-    scene : XML file or name of a packaged scene
+    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene
     quick : add the overrides of `read_study`: fewer pixel sizes and sensors
     settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um":
         2.0}, window_mm=1.0
@@ -358,7 +380,7 @@ def load_study(
     options = tables_of_python(settings)
     scene_settings: dict[str, Any] = {}
     if scene is not None:
-        scene_settings["file"] = str(scene)
+        scene_settings["file"], parameters = scene_and_parameters(scene, parameters)
     if parameters:
         scene_settings["parameters"] = dict(parameters)
     if scene or parameters:

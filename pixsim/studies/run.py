@@ -28,6 +28,7 @@ from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import camera_of_light, read_with_camera
+from pixsim.scene.guard.dictionary import scene_and_parameters, stated_file
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import collecting_area_um2
@@ -624,17 +625,16 @@ class RunResult(RenderedRun, Result):
     def __repr__(self) -> str:
         metric = metrics_named(self.settings.metrics)[0]
         value = f"{metric.name} {estimate(self.table.columns[metric.columns[0]].mean())}"
-        return (
-            f"<RunResult {self.prepared.file}: {value}, {self.score.physics.pitch_um:g} µm pixels,"
-            f" {self.delta_e.size} sensors>"
-        )
+        source = stated_file(self.prepared.file)
+        pixels = f"{self.score.physics.pitch_um:g} µm pixels"
+        return f"<RunResult {source}: {value}, {pixels}, {self.delta_e.size} sensors>"
 
 
 # --- the way from the settings to the result ------------------------------------------------------
 
 
 def run(
-    scene: str | os.PathLike[str],
+    scene: str | os.PathLike[str] | Mapping[str, Any],
     *,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
@@ -652,8 +652,8 @@ def run(
     """Render a scene, capture it with one sensor and score the image, with the errors of its light,
     as `pixsim run` does.
 
-    scene : XML file or name of a packaged scene; or a spectral image of another program (.exr,
-        .npz, .hdr)
+    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene; or a
+        spectral image of another program (.exr, .npz, .hdr)
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
         precedence
     parameters : of the scene, each in its unit
@@ -681,13 +681,14 @@ def run(
     """
     if metrics:
         settings["metrics"] = metric_names(metrics)
+    file, parameters = scene_and_parameters(scene, parameters)
     with collected_notes():  # also those of the preparation
         overrides = {
             name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table
         }
         run_setting = run_settings(config, settings | overrides)
         prepared = prepare(
-            str(scene),
+            file,
             run_setting,
             full=full,
             repeats=repeats,

@@ -28,7 +28,6 @@ from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
-from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.studies.claims import (
     REFERENCE_TECHNOLOGY,
@@ -60,6 +59,7 @@ from pixsim.studies.evaluate import (
 from pixsim.studies.files import (
     load_study,
     scene_table,
+    scene_to_repeat,
     settings_text,
     spreads_of_study,
     tables_of_python,
@@ -128,9 +128,8 @@ def _repeated_settings(
 
     scene = job.source
     settings = repeatable_settings(job.complete, image)
-    file = settings.scene.file
     scene_tables = {
-        "file": file if file in packaged_scenes() else str(scene.path),
+        "file": scene_to_repeat(settings.scene.file),
         "parameters": scene_table(scene.path.parent, settings.scene.parameters),
     }
     camera = scene.camera(settings.camera, settings.lens).options.model_dump(exclude_none=True)
@@ -560,7 +559,7 @@ def study(
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
-    scene: str | os.PathLike[str] | None = None,
+    scene: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     quick: bool = False,
     jobs: Jobs | None = None,
     scheduler: object = None,
@@ -585,7 +584,8 @@ def study(
     pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they
         override a named study's. A data sheet may stand here instead of in a file, with its
         pitch_um
-    scene : XML file or name of a packaged scene, which overrides a named study's
+    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene, which
+        overrides a named study's
     quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file
         NAME.quick.toml next to the study's, or else at most 8 sizes of 4 sensors
     jobs : processes. None means one per core. The results do not depend on it.

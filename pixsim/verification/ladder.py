@@ -18,6 +18,7 @@ from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.result import Result
 from pixsim.scene.film import fitting_width, largest_film
+from pixsim.scene.guard.dictionary import scene_and_parameters
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.studies.design import Case
@@ -119,7 +120,7 @@ class Accuracy(Result):
 
 
 def accuracy(
-    scene: str | os.PathLike[str],
+    scene: str | os.PathLike[str] | Mapping[str, Any],
     *,
     quick: bool = False,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
@@ -140,7 +141,7 @@ def accuracy(
     """Measure the error of a scene's mean ΔE against run time, and check numerical stability at
     extreme settings.
 
-    scene : XML file or name of a packaged scene
+    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene
     quick : fewer films
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
         precedence
@@ -158,6 +159,7 @@ def accuracy(
     >>> len(result.rungs), all(case.passed for case in result.cases)
     (2, True)
     """
+    file, parameters = scene_and_parameters(scene, parameters)
     tables = {
         "camera": camera,
         "lens": lens,
@@ -176,12 +178,7 @@ def accuracy(
         {name: value for name, value in (tables | {"seed": seed}).items() if value is not None},
     )
     return measure_accuracy(
-        os.fspath(scene),
-        settings,
-        quick=quick,
-        sensor=sensor,
-        variant=variant,
-        progress=progress or no_stage,
+        file, settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage
     )
 
 

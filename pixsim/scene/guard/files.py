@@ -32,7 +32,7 @@ from pixsim.scene.packaged import packaged_folder
 
 ALLOWED = "a readable XML file"
 ASSETS = "assets"  # the parameter of pixsim that names a folder of files for scenes
-_MAX_XML = 8 << 20  # bytes of all files in total; repeated includes count each time
+MAX_XML = 8 << 20  # bytes of all files in total; repeated includes count each time
 MAX_DEPTH = 24  # of nested elements; Mitsuba's two-sided materials double the work at each level
 _MAX_INCLUDES = 64
 _MAX_INCLUDE_DEPTH = 8
@@ -41,7 +41,9 @@ _MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
 _MAX_SUBSTITUTED = 20_000  # parameters in all attributes
 _OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
 _DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
-WHOLE_NUMBER = re.compile(r"[+-]?\d{1,18}")
+_WHOLE = re.compile(r"[+-]?\d+")
+# Of the lines of XML that pixsim wrote from dictionaries, what their users know them by.
+PLACES: dict[Path, tuple[str, ...]] = {}
 _TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
 
 
@@ -60,6 +62,8 @@ class SceneElement:
 
     @property
     def place(self) -> str:
+        if self.file in PLACES:
+            return PLACES[self.file][self.line - 1]
         return f"line {self.line} of '{self.file.name}'"
 
 
@@ -80,13 +84,16 @@ class SceneFiles:
     defaults: dict[str, str] = field(default_factory=dict)
     root: SceneElement | None = None
     _values: dict[str, str] = field(default_factory=dict)
-    _bytes_left: int = _MAX_XML
+    _bytes_left: int = MAX_XML
     _characters_left: int = _MAX_EXPANDED
     _substitutions_left: int = _MAX_SUBSTITUTED
     _includes: int = 0
 
     @property
     def folder(self) -> Path:
+        """The folder in which its own files lie: of a dictionary, the one that `assets` names."""
+        if self.path in PLACES:
+            return Path(os.path.realpath(self.parameters.get(ASSETS, "")))
         return Path(os.path.realpath(self.path)).parent
 
     @property
@@ -194,7 +201,7 @@ def _check_number(tag: str, written: dict[str, str], parameters: dict[str, str])
     """
     name = written.get("value", "").removeprefix("$")
     value = parameters.get(name, "0").strip()
-    if tag == "integer" and not WHOLE_NUMBER.fullmatch(value):
+    if tag == "integer" and not _WHOLE.fullmatch(value):
         raise invalid(name, value_text(value), "a whole number")
     if tag == "float" and not NUMBER.fullmatch(value):
         raise invalid(name, value_text(value), "a number")
