@@ -856,24 +856,40 @@ def chart(
         Parameter(help="Width of the die that the chart fills (csf, target) [default: 2.7136]."),
     ] = None,
     shape: Annotated[
-        Literal["disc", "bar", "edge"] | None,
-        Parameter(help="Shape of a target: disc, bar (5 times as long as wide), or edge."),
+        Literal["disc", "bar", "edge", "lines"] | None,
+        Parameter(help="Shape of a target: disc, bar, edge, or lines with a gap in the middle."),
     ] = None,
     size_um: Annotated[
         float | None,
         Parameter(
-            help="Diameter or width of a target on the sensor; the die is square [default: 77.5]."
+            help=(
+                "Diameter of a target, or width of bar and lines, on the sensor; the die is square"
+                " [default: 77.5]."
+            )
         ),
+    ] = None,
+    length_um: Annotated[
+        float | None,
+        Parameter(help="Length of a bar [default: 5 widths], or of a gap [default: a width]."),
     ] = None,
     contrast: Annotated[
         float | None,
         Parameter(
-            help="Luminance of a target over that of its background, minus 1 [default: -0.1]."
+            help=(
+                "Luminance of a target over that of its background, minus 1 [default: -0.1; a gap"
+                " is as bright as what is between the lines]."
+            )
         ),
+    ] = None,
+    line_contrast: Annotated[
+        float | None,
+        Parameter(help="Luminance of lines over that of what is between, minus 1 [default: -0.5]."),
     ] = None,
     direction: Annotated[
         Literal["vertical", "horizontal"] | None,
-        Parameter(help="Direction of a target that is a bar or an edge [default: vertical]."),
+        Parameter(
+            help="Direction of a target that is a bar, an edge, or lines [default: vertical]."
+        ),
     ] = None,
     colour_axis: Annotated[
         Literal["red-green", "blue-yellow"] | None,
@@ -925,7 +941,9 @@ def chart(
             "die_mm": die_mm,
             "shape": shape,
             "size_um": size_um,
+            "length_um": length_um,
             "contrast": contrast,
+            "line_contrast": line_contrast,
             "direction": direction,
             "colour_axis": colour_axis,
             "linear": linear or None,

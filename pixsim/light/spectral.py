@@ -53,6 +53,8 @@ WHITE_RADIANCE = "white_w_per_m2_sr"
 DIFFUSER = "diffuser"
 DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
 WHITE_OF_PLATE = "a white plate in the scene's light"  # as `white_description`
+# Entry of a header: the light that falls on the part of a target, and its reflectance.
+PART = "part"
 # Of light whose amount a luminance can state; an incandescent lamp has 15, a line at 750 nm 0.08.
 MIN_LM_PER_W = 0.1
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019

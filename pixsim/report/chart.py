@@ -17,7 +17,9 @@ TARGET = "the chart target"
 CSF = "the chart csf"
 _CHART_OF_OPTION = {  # option -> what takes it alone
     **dict.fromkeys(("linear", "aspect"), PICTURE),
-    **dict.fromkeys(("shape", "size_um", "contrast", "direction"), TARGET),
+    **dict.fromkeys(
+        ("shape", "size_um", "length_um", "contrast", "line_contrast", "direction"), TARGET
+    ),
     "colour_axis": CSF,
 }
 _ASPECTS = (1e-3, 1e3)

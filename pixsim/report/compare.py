@@ -46,7 +46,7 @@ from pixsim.report.verdicts import (
     shared_stages,
     verdict_parts,
 )
-from pixsim.report.wording import DELTA_E
+from pixsim.report.wording import DELTA_E, part_words
 from pixsim.scene.guard.dictionary import stated_file
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import write_frame
@@ -267,13 +267,19 @@ def _repeating_command(job: ComparisonJob, files: Sequence[str], has_study: bool
 # --- the page
 
 
+def _shared_words(result: Comparison) -> list[str]:
+    """Return what all sensors have in common, with the light on the part of a target."""
+    part = part_words(result.sensors[0].light.image.header)
+    return [*common_words(result.job), *[part] * bool(part)]
+
+
 def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Document:
     """Return the answer of `pixsim compare`, without the sections of its page and other files.
 
     warned : notes that a reader of the terminal has seen
     """
     answers = [_answer(result, other) for other in result.names[1:]]
-    common = Fact("; ".join(common_words(result.job)))
+    common = Fact("; ".join(_shared_words(result)))
     new_notes = [note for note in notes(result) if note not in warned]
     return Document(
         command="compare",
@@ -688,7 +694,7 @@ def _sections(result: Comparison, scale_end_delta_e: float) -> Iterator[Section]
     yield budgets_section(
         {sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None}
     )
-    yield Section("shared", "What the sensors share", [Listed(common_words(job))])
+    yield Section("shared", "What the sensors share", [Listed(_shared_words(result))])
     yield Section("settings", "Settings", _settings(result))
 
 

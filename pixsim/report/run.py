@@ -26,16 +26,20 @@ from pixsim.base.schema import result_data
 from pixsim.base.tables import plain
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
+from pixsim.light.quantities import ILLUMINANCE, IRRADIANCE
 from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words, whole_picture
 from pixsim.report.score import judged_by_delta_e, score_plate, shown_mean
 from pixsim.report.settings import UNSTATED_NOISE, scene_rows, settings_blocks, settings_tables
+from pixsim.report.target import enlarged, marked, place_of
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
     film_words,
     lens_words,
+    part_words,
+    reflectance_words,
     rendered_words,
     thin_lens_words,
     unconverged,
@@ -75,7 +79,7 @@ from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
-from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
+from pixsim.viewer.raw_metrics import DETECTABILITY, SNR10_LX, contrast_factor
 from pixsim.viewer.requirements import RequirementCheck
 from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import stage_words
@@ -86,6 +90,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
     from pixsim.viewer.setting import Run
 
+_BESIDE_TARGET = 30  # % of the width, where the border between two pictures hides no target
 FILES = (  # next to the page
     "score.json",
     ROWS_FILE,
@@ -247,13 +252,20 @@ def run_page(
     document = run_document(result)
     end = scale_end(result.statistics[0]["p99_delta_e"])
     delta_e = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
+    ideal = whole_picture(score.ideal, "ideal image")
     sensor = whole_picture(score.image, f"{pixel_size(score.physics.pitch_um)} pixels")
+    pictures: list[Block] = [Slider("slider", "", ideal, (sensor,))]
+    place = place_of(result)
+    if place is not None:
+        ideal, sensor = (marked(picture, result, place) for picture in (ideal, sensor))
+        heading = "The frame in the middle marks the target"
+        pictures = [
+            Slider("slider", heading, ideal, (sensor,), at=_BESIDE_TARGET),
+            *enlarged(result, place),
+        ]
     return replace(
         document,
-        lead=(
-            Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)),
-            *tuple(document.lead)[1:],
-        ),
+        lead=(*pictures, *tuple(document.lead)[1:]),
         sections=(*_sections(result, delta_e), *document.sections),
         writers=(write_light, write_arrays),  # the largest file by far first
         files={
@@ -498,17 +510,27 @@ def _metric_text(result: RunResult, metric: Metric) -> Text:
     values = result.judged[metric.name]
     mean = float(values.mean())
     if math.isnan(mean):  # a note says why
-        return f"{metric.words} is not given"
+        unseen = "not known whether it is seen: " if metric is DETECTABILITY else ""
+        return f"{unseen}{metric.words} is not given"
     low, high = result.interval(values, metric.columns[0]) or (mean, mean)
     half = (high - low) / 2
     value = with_error(mean, half) if half > ROUNDING * abs(mean) else estimate(mean)
     judged_words = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
-    threshold_text = f"; {_threshold_words(result, mean)}" if metric is DETECTABILITY else ""
-    return (
+    text: Text = (
         f"{metric.words} ",
         Strong(f"{value} {metric.unit}".rstrip()),
-        f", of {judged_words}{threshold_text}",
+        f", of {judged_words}",
     )
+    if metric is DETECTABILITY:
+        threshold = result.settings.metric.detectability.threshold
+        verdict = Strong("seen" if mean >= threshold else "not seen")
+        is_sure = not low <= threshold <= high or low == high
+        unsure = "" if is_sure else f" (not sure: {threshold:g} is within the 95 % interval)"
+        return (verdict, f"{unsure}: ", *text, f"; {_threshold_words(result, mean)}")
+    if metric is SNR10_LX:
+        wall = result.settings.metric.snr10_lx.reflectance
+        return (*text, f", on a wall of reflectance {wall:g}")
+    return text
 
 
 def _threshold_words(result: RunResult, d_prime: float) -> str:
@@ -516,7 +538,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
     part of its contrast.
     """
     if result.threshold is not None:
-        return _threshold_pitch_words(result.threshold)
+        return _threshold_pitch_words(result.threshold, result.irradiance.header)
     threshold = result.settings.metric.detectability.threshold
     factor, reason = contrast_factor(
         result.chain.expected(result.score.frame.integration_s), d_prime
@@ -526,22 +548,27 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
             f"{threshold:g} is reached at {rounded(factor, 3)} times this contrast, where contrasts"
             " are small"
         )
-    if d_prime >= threshold:
-        return f"no multiple of its contrast reaches {threshold:g}: {reason}"
-    return f"not seen: {reason}"
+    return f"no multiple of its contrast reaches {threshold:g}: {reason}"
 
 
-def _threshold_pitch_words(threshold: Threshold) -> str:
-    """Return at which values of the scene's parameter a target is seen."""
+def _threshold_pitch_words(threshold: Threshold, header: Mapping[str, Any]) -> str:
+    """Return at which values of the scene's parameter a target is seen.
+
+    header : of the irradiance
+    """
+    is_light = threshold.parameter in (ILLUMINANCE, IRRADIANCE)
+    surface = f" {reflectance_words(header)}" if is_light else ""
     lower = threshold.value
     upper = threshold.upper_value
     if lower is None and upper is None:
         tried = span(min(threshold.tried), max(threshold.tried), ".4g")
         reason = f": {threshold.reason}" if threshold.reason else ""
-        return f"{threshold.threshold:g} is not reached at {threshold.parameter} of {tried}{reason}"
+        where = f"{threshold.parameter} of {tried}{surface}"
+        return f"{threshold.threshold:g} is not reached at {where}{reason}"
     lower_words = "" if lower is None else f" from {rounded(lower, 3)} on"
     upper_words = "" if upper is None else f" up to {rounded(upper, 3)}"
-    return f"{threshold.threshold:g} is reached at {threshold.parameter}{lower_words}{upper_words}"
+    where = f"{threshold.parameter}{lower_words}{upper_words}{surface}"
+    return f"{threshold.threshold:g} is reached at {where}"
 
 
 def shown_mean_of(result: RunResult) -> str:
@@ -572,7 +599,8 @@ def _setup_words(result: RunResult) -> list[str]:
         columns,
     )
     light = _light_words(result) if judged_by_delta_e(settings) else []
-    view_parts = (*view, lens_words(result.camera), assumption(result), *light)
+    part = part_words(result.irradiance.header)
+    view_parts = (part, *view, lens_words(result.camera), assumption(result), *light)
     view_line = "; ".join(filter(None, view_parts))
 
     developed = developed_words(settings.develop, [settings.pixel])

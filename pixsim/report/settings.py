@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.records import Record
+from pixsim.light.quantities import ILLUMINANCE
 from pixsim.optics.camera import Camera
+from pixsim.report.wording import LUX_MEANING, part_words
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.show.document import Block, DocumentTable, Section
 from pixsim.show.sentences import setting_value
@@ -48,9 +50,10 @@ def scene_rows(
     rows = [("file", file, "scene or picture", sources.get("scene.file", ""))] if file else []
     for name, value in parameters.items():
         text = Path(value).name if isinstance(value, str) else setting_value(value, name)
-        rows.append(
-            (name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default))
-        )
+        meaning = LUX_MEANING if name == ILLUMINANCE else "parameter of the scene"
+        rows.append((name, text, meaning, sources.get(f"scene.parameters.{name}", default)))
+    if part := part_words(header):
+        rows.append(("part", part, "light on the part of the target", ""))
     name, quantity = (
         ("white_cd_per_m2", "luminance")
         if light.unit == "cd/m²"

@@ -6,8 +6,16 @@ import math
 
 from pixsim.base.digits import distinct_texts
 from pixsim.base.notes import Note, first_notes
+from pixsim.light.spectral import PART
 from pixsim.report.regret import regrets_tables
-from pixsim.report.wording import lens_words, thin_lens_words, unconverged, view_words
+from pixsim.report.wording import (
+    lens_words,
+    part_words,
+    reflectance_words,
+    thin_lens_words,
+    unconverged,
+    view_words,
+)
 from pixsim.show.document import Block, Fact
 from pixsim.studies.curve import Curve
 from pixsim.studies.merit import columns_on, varied_view_settings
@@ -57,12 +65,15 @@ def _study_light_words(result: StudyResult) -> list[str]:
         camera = part.camera
         lens = lens_words(camera) or thin_lens_words(camera)
         assumption = part.study.camera.assumption(camera).partition(":")[0]
-        lines.append(
-            "; ".join(
-                filter(None, (lens, assumption, str(part.light_level), *stage_words(part.study)))
-            )
-        )
-    return lines[:1] if len(set(lines)) == 1 else []
+        light = part_words(part.irradiance.header), str(part.light_level)
+        lines.append("; ".join(filter(None, (lens, assumption, *light, *stage_words(part.study)))))
+    if len(set(lines)) == 1:
+        return lines[:1]
+
+    # The light differs: what it falls on may not.
+    headers = [part.irradiance.header for part in result.cases]
+    parts = {f"light {reflectance_words(header)}" for header in headers if PART in header}
+    return sorted(parts)[:1] if len(parts) == 1 else []
 
 
 def contrast_words(result: StudyResult, curve: Curve) -> list[str]:

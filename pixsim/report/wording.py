@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,8 +11,11 @@ from typing import Any
 from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop, interval, pixel_size, within_error
 from pixsim.base.headline import NOT_CONVERGED
+from pixsim.light.quantities import ILLUMINANCE, INCIDENCE, IRRADIANCE, LAMP
+from pixsim.light.spectral import PART
 from pixsim.optics.camera import Camera
 from pixsim.report.score import exceeded_words
+from pixsim.scene.film import GREEN_NM
 from pixsim.show.document import Answer, Strong
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import stated_end_lp_per_mm
@@ -61,6 +65,41 @@ def weighted_answer(regrets: Regrets) -> Answer:
 
 
 # --- the light, the film and the display behind a result
+
+
+LUX_MEANING = "illuminance in lx: white has lux/π cd/m², and a part of reflectance ρ has ρ lux/π"
+
+
+def reflectance_words(header: Mapping[str, Any]) -> str:
+    """Return the reflectance of what an illuminance falls on: of a target's part, else of white."""
+    part = header.get(PART)
+    return (
+        f"on a part of reflectance {part['reflectance']:g}" if part else "on white (reflectance 1)"
+    )
+
+
+def part_words(header: Mapping[str, Any]) -> str:
+    """Return the light that falls on the part of a target: how much, visible or not, of which lamp
+    and from where; empty for other scenes.
+
+    header : of the irradiance
+    """
+    part = header.get(PART)
+    if not part:
+        return ""
+    names = [part[LAMP]] if LAMP in part else []
+    surface = reflectance_words(header)
+    if INCIDENCE in part:
+        surface += f", at {part[INCIDENCE]:.3g}° to its normal"
+    if ILLUMINANCE in part:
+        amount = f"{part[ILLUMINANCE]:.4g} lx of visible light"
+        surface += f", which has {part['reflectance'] * part[ILLUMINANCE] / math.pi:.4g} cd/m²"
+    else:
+        kind = "infrared" if part["centroid_nm"] > GREEN_NM else "ultraviolet"
+        amount = f"{part[IRRADIANCE]:.4g} W/m² of {kind} light"
+        names.append(f"{part['centroid_nm']:.4g} nm")
+    lamp = f" ({', '.join(names)})" if names else ""
+    return f"{amount}{lamp} {surface}"
 
 
 def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:

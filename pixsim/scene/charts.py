@@ -25,7 +25,7 @@ from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.records import UnitInterval
 from pixsim.light.exr import fill_channels, write_channels, writing
 from pixsim.optics.quantities import DieWidth
-from pixsim.scene.target import Target
+from pixsim.scene.target import LENGTHS, SIZES, Target
 
 Side = Annotated[int, Bounds(1, 32768)]  # texels
 _HighestFrequency = Annotated[float, Bounds(SMALLEST, 1e6)]
@@ -195,25 +195,30 @@ def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
 def target(
     width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object
 ) -> NDArray[np.float32]:
-    """Return a target on a uniform field of relative luminance 1, (height, width): the exact
-    share of each texel that it covers.
+    """Return a target on a uniform field, (height, width), with the exact share of each texel that
+    it covers; 1 is a white diffuser.
 
     die_mm : side of the square die that the field fills
-    fields : of `scene.target.Target`: its `shape`, size on the sensor (`size_um`), `contrast` and
-        `direction`
+    fields : of `scene.target.Target`, with its size and length on the sensor (`size_um`,
+        `length_um`)
 
     Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels`
     does.
     """
     drawn = Target.from_parameters(fields, {"size_um": _TARGET_UM})
-    if drawn.shape != "edge" and drawn.size_um is None:
+    if other_units := [
+        name
+        for name in (*SIZES, *LENGTHS)
+        if not name.endswith("_um") and getattr(drawn, name) is not None
+    ]:
         raise invalid(
             "target",
-            repr(drawn),
-            "a size on the sensor, size_um",
-            "The scene 'target' accepts the other sizes.",
+            " and ".join(other_units),
+            "lengths on the sensor, size_um and length_um",
+            "The scene 'target' accepts the other units.",
         )
-    return drawn.texels((height, width), (die_mm, die_mm), (drawn.size_um or 0.0) / 1e3)
+    size_mm, length_mm = drawn.lengths_in_scene_mm(magnification=1.0, distance_m=0.0)
+    return drawn.texels((height, width), (die_mm, die_mm), size_mm, length_mm)
 
 
 CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {

@@ -65,6 +65,18 @@ class Lamp:
         luminous = self.spectrum.cell_means(edges) * spectral.photopic_efficiency(at)
         return float(spectral.LUMINOUS_EFFICACY_LM_PER_W * _LUMINANCE_STEP_NM * luminous.sum())
 
+    @property
+    def radiance_w_per_m2_sr(self) -> float:
+        """Radiance of texel value 1, of all wavelengths."""
+        if self.spectrum is None:
+            return 0.0
+        return self.spectrum.integral(*self.spectrum.nodes_nm[[0, -1]].tolist())
+
+    @property
+    def has_luminance(self) -> bool:
+        """Whether a luminance can state how much light there is."""
+        return self.luminance_cd_per_m2 > spectral.MIN_LM_PER_W * self.radiance_w_per_m2_sr
+
 
 def find_lamps(state: Tree, variant: str) -> list[Lamp]:
     """Group the emitters by spectrum, in scene order; those whose spectrum varies over them are the

@@ -43,7 +43,8 @@ def strength(
     before = luminances(written_lamps)
     after = luminances(lamps)
     is_stated = all(lamp.spectrum is not None for lamp in (*written_lamps, *lamps))
-    if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
+    is_seen = all(any(lamp.has_luminance for lamp in light) for light in (written_lamps, lamps))
+    if not is_stated or not is_seen:
         raise invalid(
             ILLUMINANCE,
             f"{got}, but the light of the emitters is unknown or 0",

@@ -23,10 +23,18 @@ from pixsim.base.hashes import content_hash
 from pixsim.base.mapped import release, zeros
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION
-from pixsim.light.quantities import LUMINANCE
+from pixsim.light.quantities import (
+    EMITTER_SCALE,
+    ILLUMINANCE,
+    INCIDENCE,
+    IRRADIANCE,
+    LAMP,
+    LUMINANCE,
+)
 from pixsim.light.spectral import (
     DIFFUSER,
     DIFFUSER_W,
+    PART,
     RINGS,
     VISIBLE,
     WHOLE,
@@ -205,6 +213,7 @@ _BLACK_HINT = (
     " most surfaces are one-sided; that the camera is in no shape; that no picture of a lamp is 0;"
     " and that hide_emitters is off."
 )
+_CENTROID_POINTS = 4097  # of a lamp's spectrum
 _DEPTH_PLACES = 32  # across and down the film, at which depths are measured
 _PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by
@@ -761,10 +770,39 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
         header[RINGS] = True
 
     header |= plan.light.white_header(plan.light.bands.edges_nm)
+    if scene.shows_target:
+        header[PART] = _light_on_part(scene, plan)
     if scene.white_cd_per_m2:
         header[LUMINANCE] = float(f"{scene.white_cd_per_m2:.9g}")
         return header
     return header | plan.light.chart_white
+
+
+def _light_on_part(scene: Scene, plan: Plan) -> dict[str, Any]:
+    """Return what an irradiance says of the part of a target: its reflectance, `lux` of visible or
+    `irradiance_w_per_m2` and `centroid_nm` of invisible light, and its lamp.
+
+    A lamp of its own irradiance has an angle to the normal, `incidence_deg`.
+    """
+    entry: dict[str, Any] = {"reflectance": scene.target.reflectance}
+    ((name, of_white),) = plan.light.chart_white.items()
+    on_part = float(f"{math.pi * of_white:.6g}")
+    if name == LUMINANCE:
+        entry[ILLUMINANCE] = on_part
+    else:
+        spectrum = plan.light.lamps[0].lamp.spectrum
+        assert spectrum is not None
+        nm = np.linspace(spectrum.nodes_nm[0], spectrum.nodes_nm[-1], _CENTROID_POINTS)
+        weight = spectrum.at(nm)
+        entry |= {IRRADIANCE: on_part, "centroid_nm": round(float(nm @ weight / weight.sum()), 1)}
+
+    if scene.lamp_factor is not None:
+        entry[LAMP] = Path(scene.parameters[LAMP]).stem
+        if scene.strength is None:
+            entry[INCIDENCE] = round(math.degrees(math.acos(math.pi * scene.lamp_factor)), 6)
+    elif EMITTER_SCALE in scene.names:
+        entry[LAMP] = "CIE D65"
+    return entry
 
 
 def _plate_spectrum(

@@ -9,7 +9,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,15 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import cache_folder, digest_of, missing
 from pixsim.base.hashes import content_hash
 from pixsim.base.problems import names_meant
-from pixsim.light.quantities import EMITTER_SCALE, ILLUMINANCE, LUMINANCE, FilmSamples
+from pixsim.light.quantities import (
+    EMITTER_SCALE,
+    ILLUMINANCE,
+    INCIDENCE,
+    IRRADIANCE,
+    LAMP,
+    LUMINANCE,
+    FilmSamples,
+)
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
@@ -59,10 +66,11 @@ from pixsim.viewer.setting import Run
 CHART = "chart"
 _CHART_LINEAR = "chart_linear"
 _TARGET_FILE = "target.exr"
+_CSF_FILE = "csf.exr"
 _BEYOND_TABLES = "beyond_tables"
 # Parameters that only pixsim reads, of the packaged charts that have some.
 _PARAMETERS_OF_CHARTS = {
-    "csf.exr": (charts.MAX_LP_PER_MM,),
+    _CSF_FILE: (charts.MAX_LP_PER_MM,),
     _TARGET_FILE: tuple(Target.model_fields),
 }
 _CHART_HALF_WIDTH = "chart_half_width"
@@ -77,6 +85,9 @@ _MAX_DIGITS = 18
 _LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 # a <default> that only pixsim reads: the luminance that the display shows as white
 WHITE = "white_cd_per_m2"
+_LIGHTS = LUMINANCE, ILLUMINANCE, IRRADIANCE
+_MAX_INCIDENCE_DEG = 89.0
+_INCIDENCE_DEG = 45.0  # of the light of a lamp, as the packaged lamps are scaled for
 _FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
@@ -100,6 +111,8 @@ class Scene:
     beyond_tables : what a surface is where its spectrum ends within the range that is computed:
         "hold" its last value, or "zero". None where the user does not state it
     strength : factor on all lamps that the parameter `lux` asks for
+    lamp_factor : radiance of white over the irradiance of the lamp that the parameter `lamp` names,
+        of a chart that shines; None where the XML has all of its light
     diffuser : whether a render also says what a white plate at the object's distance would show,
         for `display.white`
     plate : transform of a white plate in the scene, 16 numbers, row by row
@@ -120,6 +133,7 @@ class Scene:
     shows_csf: bool = False
     shows_target: bool = False
     strength: float | None = None
+    lamp_factor: float | None = None
     beyond_tables: Beyond | None = None
     diffuser: bool = False
     plate: tuple[float, ...] | None = None
@@ -132,18 +146,18 @@ class Scene:
         """
         values = {name: str(value) for name, value in defaults.items()} | self.parameters
         # Parameters of pixsim alone: `for_camera` makes the chart.
-        for name in chain.from_iterable(_PARAMETERS_OF_CHARTS.values()):
+        chart = _TARGET_FILE if self.shows_target else _CSF_FILE if self.shows_csf else ""
+        for name in _PARAMETERS_OF_CHARTS.get(chart, ()):
             values.pop(name, None)
         if self.strength is not None:
             values.pop(ILLUMINANCE, None)
         if self.own_chart:
             values[CHART] = str(defaults.get(CHART) or self.own_chart.texture(1.0))
 
-        key = _key_of_text(values, self.strength, self.plate)
+        changes = self.strength, self.plate, self.lamp_factor
+        key = _key_of_text(values, *changes)
         if key not in self._texts:  # a render needs it ten times
-            self._texts[key] = open_scene(
-                self.path, values, strength=self.strength, plate=self.plate
-            )
+            self._texts[key] = open_scene(self.path, values, *changes)
         return self._texts[key]
 
     def parse(self, **defaults: object) -> Tree:
@@ -261,19 +275,11 @@ class Scene:
             sides_mm.append(2e3 * half_m)
 
         target = self.target
-        size_mm = target.size_in_scene_mm(camera)
-        content = [
-            "target",
-            target.shape,
-            target.direction,
-            target.contrast,
-            size_mm,
-            *sides_mm,
-            *texels,
-        ]
+        target_mm = target.lengths_in_scene_mm(camera.magnification, camera.object_distance_m)
+        content = ["target", target.content_hash, *target_mm, *sides_mm, *texels]
         shape = (texels[0], texels[1])
-        lengths_mm = (sides_mm[0], sides_mm[1])
-        return charts.texture_file(content, partial(target.texels, shape, lengths_mm, size_mm))
+        field_mm = (sides_mm[0], sides_mm[1])
+        return charts.texture_file(content, partial(target.texels, shape, field_mm, *target_mm))
 
     @property
     def target(self) -> Target:
@@ -382,9 +388,12 @@ class Scene:
 
 
 def _key_of_text(
-    values: dict[str, str], strength: float | None = None, plate: tuple[float, ...] | None = None
+    values: dict[str, str],
+    strength: float | None = None,
+    plate: tuple[float, ...] | None = None,
+    lamp_factor: float | None = None,
 ) -> str:
-    return repr((sorted(values.items()), strength, plate))
+    return repr((sorted(values.items()), strength, plate, lamp_factor))
 
 
 def _chart_parameters(camera: Camera) -> dict[str, float]:
@@ -462,16 +471,19 @@ def load_scene(
         processors
     sensor : id of the sensor, if the scene has several
     parameters : values of the scene's <default> parameters. In any scene, `resolution` sets the
-        film's samples across the die, and `spp` the samples for each of its cells. In a scene with
-        a parameter `emitter_scale`, `luminance_cd_per_m2` sets the luminance of texel value 1, and
-        `lux` the illuminance in which a white diffuser has it, π times as much; in a scene with a
+        film's samples across the die, and `spp` the samples for each of its cells. `lux` is the
+        illuminance on the part or place that a scene shows, where white, a diffuser of reflectance
+        1, has lux/π cd/m², and reflectance ρ has ρ lux/π. In a scene with a parameter
+        `emitter_scale`, whose chart shines as white does at texel value 1, `luminance_cd_per_m2` or
+        `irradiance_w_per_m2` may state this light too, and `lamp` names a file with its spectrum,
+        as the irradiance of a beam that meets the normal at `incidence_deg` (45); in a scene with a
         <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white
         by one factor; `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart,
-        and the fields of `scene.target.Target` set what the scene target shows, on a background of
-        `luminance_cd_per_m2`; `chart` may name a picture (`scene.own_chart.read_luminance`),
-        decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says what
-        surfaces are where lamps shine and their spectra end; `assets` names a folder whose files
-        the scene may name, besides its own; of a dictionary, by default the working directory
+        and the fields of `scene.target.Target` set what the scene target shows; `chart` may name a
+        picture (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true;
+        `beyond_tables`, "hold" or "zero", says what surfaces are where lamps shine and their
+        spectra end; `assets` names a folder whose files the scene may name, besides its own; of a
+        dictionary, by default the working directory
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there
     is no sensor or more than one, the sensor is not a thin lens, or LLVM is too old.
@@ -492,13 +504,14 @@ def load_scene(
     values = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, values)
     text = open_scene(path, values)
-    special[ILLUMINANCE] = None if ILLUMINANCE in text.names else values.pop(ILLUMINANCE, None)
+    for name in (ILLUMINANCE, IRRADIANCE):
+        special[name] = None if name in text.names else values.pop(name, None)
     packaged_chart = ""
     if CHART in text.names and CHART not in values:
         packaged_chart = Path(text.defaults.get(CHART, "")).name
     special_names = [name for name, value in special.items() if value is not None]
     _check_names(text, [*values, *special_names], packaged_chart)
-    luminance, lux = _light_of_white(text, special[LUMINANCE], special[ILLUMINANCE])
+    light = _stated_light(special)
 
     # The scene with its chart. Its text is that of the resolved file, unless a link's folder has
     # the files that it names.
@@ -512,7 +525,8 @@ def load_scene(
         sensor_id=sensor,
         choice=choice,
         white_cd_per_m2=None if stated_white is None else _positive(WHITE, stated_white),
-        shows_csf=packaged_chart == "csf.exr",
+        lamp_factor=_lamp_factor(text, values, light),
+        shows_csf=packaged_chart == _CSF_FILE,
         _texts={_key_of_text(values): text} if picture is None and path == path.resolve() else {},
     )
     if packaged_chart == _TARGET_FILE:
@@ -522,10 +536,12 @@ def load_scene(
     _check_renderable(loaded)
 
     # Parameters that scale it
-    if luminance is not None:
-        loaded = _with_luminance(loaded, text, luminance, keeps_white=white is not None)
-    if lux is not None:
-        loaded = _with_illuminance(loaded, text, lux, keeps_white=white is not None)
+    if loaded.lamp_factor is not None and white is None:
+        loaded = replace(loaded, white_cd_per_m2=None)  # white is the chart's texel value 1
+    if light is not None:
+        is_placed = light[0] == ILLUMINANCE and ILLUMINANCE in text.defaults
+        scaled = _with_illuminance if is_placed else _with_light_of_white
+        loaded = scaled(loaded, text, *light, keeps_white=white is not None)
     highest = special[charts.MAX_LP_PER_MM]
     if highest is not None:
         highest_lp_per_mm = repr(_positive(charts.MAX_LP_PER_MM, highest))
@@ -533,23 +549,51 @@ def load_scene(
     return loaded
 
 
-def _light_of_white(text: SceneText, luminance: object, lux: object) -> tuple[object, object]:
-    """Return the luminance and the illuminance that scale a scene; at most one is not None.
+def _stated_light(special: Mapping[str, object]) -> tuple[str, object] | None:
+    """Return the parameter that states the light of a scene, and its value; None without one.
 
-    The illuminance of a chart is measured on a white diffuser as bright as its white.
+    special : values of the parameters that pixsim reads itself
     """
-    if lux is None:
-        return luminance, None
-    if luminance is not None:
+    stated = [(name, special[name]) for name in _LIGHTS if special[name] is not None]
+    if len(stated) > 1:
+        (first, _), (name, value), *_ = stated
         raise invalid(
-            ILLUMINANCE,
-            f"'{lux}' together with {LUMINANCE}",
+            name,
+            f"'{value}' together with {first}",
             "one of them",
             "A white diffuser at E lx has a luminance of E / π cd/m².",
         )
-    if ILLUMINANCE in text.defaults:
-        return None, lux
-    return _positive(ILLUMINANCE, lux) / math.pi, None
+    return stated[0] if stated else None
+
+
+def _lamp_factor(
+    text: SceneText, values: Mapping[str, str], light: tuple[str, object] | None
+) -> float | None:
+    """Return the radiance of white over the irradiance of the beam that the parameter `lamp` of a
+    chart names; None without it.
+
+    light : of `_stated_light`
+    """
+    has_lamp = LAMP in values and LAMP not in text.names
+    if has_lamp and EMITTER_SCALE in values:
+        raise invalid(
+            LAMP, f"a lamp together with {EMITTER_SCALE}, the scale of D65", "one of them"
+        )
+    if INCIDENCE not in values or INCIDENCE in text.names:
+        return math.cos(math.radians(_INCIDENCE_DEG)) / math.pi if has_lamp else None
+
+    if not has_lamp or light is not None:
+        got = f"together with {light[0]}" if light else f"without a {LAMP}"
+        hint = "A matt part looks the same from any direction of the light that falls on it."
+        raise invalid(INCIDENCE, got, f"the angle of a {LAMP} of its own irradiance", hint)
+    try:
+        incidence_deg = float(values[INCIDENCE])
+    except ValueError:
+        incidence_deg = math.nan
+    if not 0 <= incidence_deg <= _MAX_INCIDENCE_DEG:
+        allowed = f"0, along the normal, to {_MAX_INCIDENCE_DEG:g} degrees"
+        raise invalid(INCIDENCE, value_text(values[INCIDENCE]), allowed)
+    return math.cos(math.radians(incidence_deg)) / math.pi
 
 
 def _with_white_lamps(scene: Scene, text: SceneText, names: object) -> Scene:
@@ -585,7 +629,7 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
     packaged_chart : file of a packaged chart that the scene shows; empty for others
     """
     needed = {
-        LUMINANCE: {EMITTER_SCALE},
+        **{name: {EMITTER_SCALE} for name in (LUMINANCE, IRRADIANCE, LAMP, INCIDENCE)},
         ILLUMINANCE: {EMITTER_SCALE, ILLUMINANCE},
         WHITE: {WHITE},
         WHITE_LAMPS: {WHITE_LAMPS},
@@ -680,19 +724,34 @@ def _flag(name: str, value: object) -> bool:
     raise invalid(name, repr(value), "1 or 0")
 
 
-def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_white: bool) -> Scene:
-    """Return the scene with the luminance of texel value 1, which a white of its file follows.
+def _with_light_of_white(
+    scene: Scene, text: SceneText, name: str, stated: object, keeps_white: bool
+) -> Scene:
+    """Return the scene with the light of texel value 1, a white diffuser, which a white of its file
+    follows.
 
+    name : `LUMINANCE` of white; `ILLUMINANCE` or `IRRADIANCE` on it, π times its radiance
     keeps_white : whether the user set the luminance of white
     """
-    value = _positive(LUMINANCE, luminance)
+    value = _positive(name, stated)
+    if name != LUMINANCE:
+        value /= math.pi
     unit = scene.with_parameters(**{EMITTER_SCALE: "1"}).parse()
     lamp = find_lamp(unit, scene.choice.reading)
-    if lamp is None or not lamp.luminance_cd_per_m2 > 0:
-        got = f"{value:g}, but the luminance of the emitters is unknown"
-        raise invalid(LUMINANCE, got, "emitters that share one spectrum and are brighter than 0")
+    unit_value = 0.0
+    if lamp is not None and name == IRRADIANCE:
+        unit_value = lamp.radiance_w_per_m2_sr
+    elif lamp is not None and lamp.has_luminance:
+        unit_value = lamp.luminance_cd_per_m2
+    if not unit_value > 0:
+        got = f"{value_text(stated)}, but the {'irradiance' if name == IRRADIANCE else 'luminance'}"
+        allowed = "emitters that share one spectrum and are brighter than 0"
+        hint = f"The light of an infrared lamp is stated as {caller.parameter(IRRADIANCE, '5')}."
+        raise invalid(name, f"{got} of the emitters is unknown or 0", allowed, hint)
 
-    scale = value / lamp.luminance_cd_per_m2
+    scale = value / unit_value
+    if scene.lamp_factor is not None:
+        return replace(scene, strength=scale)
     white_cd_per_m2 = scene.white_cd_per_m2
     if white_cd_per_m2 is not None and not keeps_white and EMITTER_SCALE in text.defaults:
         white_cd_per_m2 *= scale / _positive(EMITTER_SCALE, text.defaults[EMITTER_SCALE])
@@ -700,14 +759,16 @@ def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_whit
     return replace(scaled, white_cd_per_m2=white_cd_per_m2)
 
 
-def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: bool) -> Scene:
+def _with_illuminance(
+    scene: Scene, text: SceneText, name: str, lux: object, keeps_white: bool
+) -> Scene:
     """Return the scene with all lamps times one factor, so that the place of its <default> lux has
     this illuminance.
 
     text : of the scene
     keeps_white : whether the user set the luminance of white, which otherwise follows the light
     """
-    value = _positive(ILLUMINANCE, lux)
+    value = _positive(name, lux)
     place = f"{ILLUMINANCE} in '{scene.path.name}'"
     stated = _positive(place, text.defaults[ILLUMINANCE])
 
@@ -740,7 +801,7 @@ def _positive(name: str, value: object) -> float:
         number = float(str(value))
     except ValueError:
         number = math.nan
-    low, high = _LIGHT_RANGE if name in (LUMINANCE, ILLUMINANCE, WHITE) else (SMALLEST, LARGEST)
+    low, high = _LIGHT_RANGE if name in (*_LIGHTS, WHITE) else (SMALLEST, LARGEST)
     if not low <= number <= high:
         raise invalid(name, value_text(value), f"a positive number, {low:g} to {high:g}")
     return number

@@ -1,5 +1,5 @@
-"""A target on a uniform background, for metrics of detectability: a disc, a bar or an edge, drawn
-as exact means over texels.
+"""A target on a uniform background, for metrics of detectability: a disc, a bar, an edge, or a gap
+in a line of a pattern, drawn as exact means over texels.
 
 Such a metric takes the light without the target from the same scene with a contrast of 0. So that
 the difference is due to the target alone, the texels are the cells of the film, and a cell has the
@@ -8,7 +8,7 @@ share of the target that its area covers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -19,50 +19,84 @@ from pixsim.base.arrays import Array
 from pixsim.base.bounds import Positive
 from pixsim.base.errors import invalid
 from pixsim.base.records import Record
-from pixsim.optics.camera import Camera
+from pixsim.light.quantities import Fraction
 
 Size = Annotated[float, Field(ge=1e-9, le=1e9)]
+Contrast = Annotated[float, Field(ge=-1, le=1e6)]
 SIZES = ("size_mm", "size_mrad", "size_um")
-_BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
+LENGTHS = ("length_mm", "length_mrad", "length_um")
+# Default lengths in widths: of a bar as those of MIL-STD-150A and of the USAF chart, and of a gap.
+_LENGTH_IN_WIDTHS = {"bar": 5.0, "lines": 1.0}
+_CONTRAST = -0.1
+_LINE_CONTRAST = -0.5
 # Of the background: float32 holds a smaller change with an error of more than 0.6 %.
 _MIN_STEP = 1e-5
 
 
 class Target(Record):
     """A target in the centre of a uniform field. An edge is the border of a target that fills the
-    right or the lower half.
+    right or the lower half. Lines are a pattern whose middle one has a gap, which is the target.
     """
 
-    shape: Literal["disc", "bar", "edge"] = Field(
-        "disc", description="disc, bar (5 times as long as wide), or edge"
+    shape: Literal["disc", "bar", "edge", "lines"] = Field(
+        "disc",
+        description=(
+            "disc, bar, edge, or lines: as wide as the spaces between them, with a gap in the"
+            " middle one"
+        ),
     )
-    contrast: Annotated[float, Field(ge=-1, le=1e6)] = Field(
-        -0.1,
-        description="luminance of the target over that of the background, minus 1; 0: no target",
+    contrast: Contrast | None = Field(
+        None,
+        description=(
+            "luminance of the target over that of the field, or of the line in which it is a gap,"
+            " minus 1; 0: no target (absent: -0.1; a gap is as bright as the field)"
+        ),
+    )
+    line_contrast: Contrast | None = Field(
+        None, description="luminance of lines over that of the field, minus 1 (absent: -0.5)"
+    )
+    reflectance: Fraction = Field(
+        1.0, description="of the field: its luminance over that of a white diffuser"
     )
     size_mm: Size | None = Field(
-        None, description="diameter of the disc or width of the bar, in the plane in focus"
+        None, description="diameter of the disc or width of bar and lines, in the plane in focus"
     )
     size_mrad: Size | None = Field(
         None, description="this size over the distance of that plane from the lens"
     )
     size_um: Size | None = Field(None, description="this size on the sensor")
+    length_mm: Size | None = Field(
+        None, description="of the bar (absent: 5 widths), or of the gap in a line (absent: a width)"
+    )
+    length_mrad: Size | None = Field(
+        None, description="this length over the distance of that plane from the lens"
+    )
+    length_um: Size | None = Field(None, description="this length on the sensor")
     direction: Literal["vertical", "horizontal"] = Field(
-        "vertical", description="of the bar's length, or of the edge"
+        "vertical", description="of the length of bar and lines, or of the edge"
     )
 
     @model_validator(mode="after")
-    def _states_its_size_once(self) -> Self:
+    def _states_what_its_shape_has(self) -> Self:
         sizes = [name for name in SIZES if getattr(self, name) is not None]
-        if self.shape == "edge" and sizes:
-            raise ValueError(
-                f"{' and '.join(sizes)} with shape = 'edge', which has no size; leave it out"
-            )
+        lengths = [name for name in LENGTHS if getattr(self, name) is not None]
         if self.shape != "edge" and len(sizes) != 1:
             names = " and ".join(sizes) or "no size"
             raise ValueError(f"{names} for the target; give one of {', '.join(SIZES)}")
-        if self.shape == "disc" and "direction" in self.model_fields_set:
-            raise ValueError("direction with shape = 'disc', which has none; leave it out")
+        if len(lengths) > 1:
+            raise ValueError(f"{' and '.join(lengths)} for the target; give one of them")
+
+        has_line_contrast = self.line_contrast is not None
+        absent: dict[str, Collection[str]] = {
+            "size": sizes if self.shape == "edge" else (),
+            "length": () if self.shape in _LENGTH_IN_WIDTHS else lengths,
+            "direction": self.model_fields_set & {"direction"} if self.shape == "disc" else (),
+            "lines": ("line_contrast",) if has_line_contrast and self.shape != "lines" else (),
+        }
+        for words, unused in absent.items():
+            if unused:
+                got = f"{' and '.join(unused)} with shape = '{self.shape}'"
+                raise ValueError(f"{got}, which has no {words}; leave it out")
         return self
 
     @classmethod
@@ -71,8 +105,8 @@ class Target(Record):
     ) -> Target:
         """Return the target of a scene's parameters, stated and default ones.
 
-        A stated size takes the place of the default, in whatever unit that is. A shape may lack
-        what a default states.
+        A stated size or length takes the place of the default, in whatever unit that is. A shape
+        may lack what a default states.
 
         Raises PixsimError for values that are no target.
         """
@@ -80,32 +114,60 @@ class Target(Record):
         unused = set()
         if shape == "edge" or any(name in stated for name in SIZES):
             unused |= {*SIZES}
+        if shape not in _LENGTH_IN_WIDTHS or any(name in stated for name in LENGTHS):
+            unused |= {*LENGTHS}
         if shape == "disc":
             unused.add("direction")
+        unused.add("contrast" if shape == "lines" else "line_contrast")
         values = {name: value for name, value in defaults.items() if name not in unused}
         values |= stated
         return cls(**{name: values[name] for name in cls.model_fields if name in values})
 
-    def size_in_scene_mm(self, camera: Camera) -> float:
-        """Return the size in the plane in focus of a camera; 0 for an edge."""
-        if self.size_um is not None:
-            return self.size_um / (1e3 * camera.magnification)
-        return self.size_mm or (self.size_mrad or 0.0) * camera.object_distance_m
+    def lengths_in_scene_mm(self, magnification: float, distance_m: float) -> tuple[float, float]:
+        """Return the size and the length in the plane in focus; 0 for what the shape does not have.
+
+        magnification, distance_m : of that plane on the sensor, and from the lens
+        """
+        size_mm = self._in_scene_mm(SIZES, magnification, distance_m) or 0.0
+        default_mm = _LENGTH_IN_WIDTHS.get(self.shape, 0.0) * size_mm
+        return size_mm, self._in_scene_mm(LENGTHS, magnification, distance_m) or default_mm
+
+    def _in_scene_mm(
+        self, names: tuple[str, str, str], magnification: float, distance_m: float
+    ) -> float | None:
+        """Return a length that one of three fields states, in mm, mrad and µm on the sensor."""
+        length_mm, angle_mrad, sensor_um = (getattr(self, name) for name in names)
+        if sensor_um is not None:
+            return float(sensor_um / (1e3 * magnification))
+        return length_mm if angle_mrad is None else angle_mrad * distance_m
+
+    @property
+    def _steps(self) -> tuple[float, float]:
+        """The change of luminance by lines, and by the target, over that of the field."""
+        if self.shape != "lines":
+            return 0.0, _CONTRAST if self.contrast is None else self.contrast
+        line = _LINE_CONTRAST if self.line_contrast is None else self.line_contrast
+        return line, -line if self.contrast is None else (1 + line) * self.contrast
 
     def texels(
-        self, shape: tuple[int, int], sides_mm: tuple[Positive, Positive], size_mm: float
+        self,
+        shape: tuple[int, int],
+        sides_mm: tuple[Positive, Positive],
+        size_mm: float,
+        length_mm: float,
     ) -> NDArray[np.float32]:
-        """Return the relative luminance of a field, (H, W), row 0 at the top: 1, and 1 + contrast
-        where the target is.
+        """Return the luminance of a field over that of a white diffuser, (H, W), row 0 at the top.
+
+        It is the reflectance, times 1 + contrast where the target is.
 
         shape : (H, W) texels
         sides_mm : (height, width) of the field
-        size_mm : of the target, as in the field
+        size_mm, length_mm : of the target, as in the field
 
         Raises PixsimError if the target is larger than the field, or if its contrast in a texel is
         lost in float32.
         """
-        down_mm, across_mm = self._ends_mm(size_mm)
+        down_mm, across_mm = self.ends_mm(size_mm, length_mm)
         if self.shape != "edge":
             self._check_size((2 * down_mm[1], 2 * across_mm[1]), sides_mm)
 
@@ -119,21 +181,30 @@ class Target(Record):
             down = _share_between(rows_mm, *down_mm)
             cover = np.outer(down, _share_between(columns_mm, *across_mm))
 
-        step = abs(self.contrast) * float(cover.max())
+        line_step, target_step = self._steps
+        step = abs(target_step) * float(cover.max())
         if 0 < step < _MIN_STEP:
             raise invalid(
                 "contrast",
-                f"{self.contrast:g}, which changes the light of no film cell by more than"
-                f" {step:.2g}",
+                f"{target_step:g}, which changes the light of no film cell by more than {step:.2g}",
                 f"0, or a change of at least {_MIN_STEP:g}, which float32 can represent",
                 "The signal is linear in the contrast: choose a larger one and scale its result, or"
                 " a finer film.",
             )
-        return (1 + self.contrast * cover).astype(np.float32)
+        field: Array | float = 1.0
+        if self.shape == "lines":
+            is_level = self.direction == "horizontal"
+            lines = _share_of_lines(rows_mm if is_level else columns_mm, size_mm)
+            field = 1 + line_step * (lines[:, None] if is_level else lines)
+        return (self.reflectance * (field + target_step * cover)).astype(np.float32)
 
-    def _ends_mm(self, size_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    def ends_mm(
+        self, size_mm: float, length_mm: float
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return where the target begins and ends, downwards and to the right from the middle of
         the field; of a disc its bounding box.
+
+        size_mm, length_mm : of the target
         """
         half_mm = size_mm / 2
         along = (-half_mm, half_mm)
@@ -141,8 +212,8 @@ class Target(Record):
         if self.shape == "edge":
             along = (-np.inf, np.inf)
             across = (0.0, np.inf)
-        elif self.shape == "bar":
-            along = -half_mm * _BAR_LENGTH, half_mm * _BAR_LENGTH
+        elif self.shape != "disc":
+            along = -length_mm / 2, length_mm / 2
         return (across, along) if self.direction == "horizontal" else (along, across)
 
     def _check_size(
@@ -165,6 +236,16 @@ def _share_between(edges: Array, low: float, high: float) -> Array:
     `high`.
     """
     return np.asarray(np.diff(np.clip(edges, low, high)) / np.diff(edges))
+
+
+def _share_of_lines(edges: Array, width: float) -> Array:
+    """Return the share of each interval (n,) between edges (n + 1,) that lies in lines, as wide as
+    the spaces between them, one of them around 0.
+    """
+    periods = (edges + width / 2) / (2 * width)
+    whole = np.floor(periods)
+    covered = width * (whole + np.minimum(2 * (periods - whole), 1.0))
+    return np.asarray(np.diff(covered) / np.diff(edges))
 
 
 def disc_cover(rows: Array, columns: Array, radius: float) -> Array:

@@ -145,7 +145,8 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Tiles:
-    """Pictures one behind the other, as many a line as have room.
+    """Pictures one behind the other, as many a line as have room, a dot of the screen for each of
+    theirs.
 
     of : what all of them show
     """
@@ -175,6 +176,7 @@ class Slider:
 
     id : of its place in the page
     left_words, right_words : name the picture on each side
+    at : where the border is at first, in % of the width
     """
 
     id: str
@@ -183,6 +185,7 @@ class Slider:
     others: tuple[Picture, ...]
     left_words: str = "the ideal image"
     right_words: str = "the sensor's picture"
+    at: int = 50
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from importlib import resources, util
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -293,7 +293,7 @@ class Window:
     height: float
     width: float
 
-    def of(self, picture: Array) -> Array:
+    def of(self, picture: NDArray[Any]) -> NDArray[Any]:
         """Return this part of a picture of any number of dots, (H, W) or (H, W, 3), at least one
         dot.
         """

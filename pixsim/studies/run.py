@@ -315,6 +315,7 @@ class Search:
         return self.values[argument]
 
 
+_METRICS_OF_TARGET = (DETECTABILITY.name, DELTA_E.name)  # where the user states none
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 _MAX_REPEATS = 10_000
 _BEFORE_FRAME = 0.8  # of the work of "sense and score"
@@ -376,6 +377,8 @@ def prepare(
         )
         whole = scene.camera(settings.camera, settings.lens)
         file = source
+        if scene.shows_target and "metrics" not in settings.model_fields_set:
+            settings = settings.model_copy(update={"metrics": _METRICS_OF_TARGET})
     _start_value(settings, scene)
     if warns_of_unused_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))

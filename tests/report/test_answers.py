@@ -71,15 +71,17 @@ def test_headlines_of_runs_are_short_and_name_the_largest_cause(
 @pytest.mark.parametrize(
     ("metrics", "first", "other"),
     [
-        (["detectability", "delta_e"], "detectability d′", "mean ΔE"),
-        (["delta_e", "detectability"], "mean ΔE", "detectability d′"),
+        (["detectability", "delta_e"], "seen: detectability d′", "mean ΔE"),
+        (["delta_e", "detectability"], "mean ΔE", "seen: detectability d′"),
+        ([], "seen: detectability d′", "mean ΔE"),
     ],
 )
 def test_headline_of_a_run_is_that_of_its_first_metric(
     metrics: list[str], first: str, other: str
 ) -> None:
-    options: Any = {"camera": {"die_mm": 0.2}, "pixel": {"bits": 12}, "metrics": metrics}
-    result = pixsim.run("target", resolution=64, **options)
+    """Of a target without stated metrics, whether it is seen."""
+    options: Any = {"camera": {"die_mm": 0.2}, "pixel": {"bits": 12}}
+    result = pixsim.run("target", resolution=64, metrics=metrics, **options)
     head, *lines = text(run_document(result)).splitlines()
     assert head.startswith(first)
     assert any(line.strip().startswith(other) for line in lines)

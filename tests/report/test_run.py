@@ -25,9 +25,11 @@ from pixsim.light.exr import write_channels
 from pixsim.measure.lens import lens_data
 from pixsim.report.lens import lens_document
 from pixsim.report.pictures import whole_picture
+from pixsim.report.run import run_page
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
+from pixsim.show.document import Slider, Tiles
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, reduced
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
@@ -364,3 +366,28 @@ def test_score_shows_its_mean_in_a_notebook() -> None:
     light = chart()
     score = pixsim.evaluate(light, camera(light), pixsim.Pixel(pitch_um=21.2))
     assert f"{score.mean_delta_e:.3f}"[:4] in score._repr_html_()
+
+
+def test_page_marks_a_target_and_shows_its_pixels_enlarged() -> None:
+    """A black bar of 4 × 12 pixels: in the enlarged square it alone is dark; the frame in the whole
+    picture lies around it, as far from all of its sides.
+    """
+    bar = {"shape": "bar", "size_um": 40, "length_um": 120, "contrast": -1}
+    options: dict = {
+        "camera": {"die_mm": 1.0},
+        "pixel": {"pitch_um": 10.0},
+        "display": {"dots": 100},
+    }
+    lead = list(run_page(pixsim.run("target", parameters=bar, resolution=200, **options)).lead)
+    (tiles,) = (block for block in lead if isinstance(block, Tiles))
+    enlarged = tiles.pictures[0].codes
+    dark = np.argwhere(enlarged < 128)
+    times = enlarged.shape[0] // 28  # 12 pixels, and 8 on each side
+    np.testing.assert_array_equal(dark.min(axis=0), np.array([8, 12]) * times)
+    np.testing.assert_array_equal(dark.max(axis=0) + 1, np.array([20, 16]) * times)
+
+    (slider,) = (block for block in lead if isinstance(block, Slider))
+    whole = slider.left.codes
+    frame = np.argwhere(whole == 0) - (np.array(whole.shape) - 1) / 2
+    np.testing.assert_allclose(np.abs(frame).max(axis=0), [14, 10], atol=1)
+    np.testing.assert_allclose(frame.mean(axis=0), 0, atol=0.6)

@@ -413,15 +413,23 @@ def test_sizes_in_scene_angle_and_sensor_agree(distance_m: float) -> None:
 
 @pytest.mark.parametrize("film", [FILM, FILM - 1])
 @pytest.mark.parametrize("samples", [0.2, 3.7, 25.0])
-@pytest.mark.parametrize(("shape", "area"), [("disc", math.pi / 4), ("bar", 5.0)])
+@pytest.mark.parametrize(
+    ("shape", "area", "widths"),
+    [("disc", math.pi / 4, None), ("bar", 5.0, None), ("bar", 2.0, 2.0), ("lines", 1.0, None)],
+)
 def test_light_of_a_target_is_its_area_times_the_irradiance(
-    shape: str, area: float, samples: float, film: int
+    shape: str, area: float, widths: float | None, samples: float, film: int
 ) -> None:
     # Its flux, π L sin²α times its area on the sensor, for targets from a fifth of a film sample
     # on, on or between samples. The fall-off takes 1e-4 of the longest bar; float32 holds 6e-8 of
     # the background, 2e-6 of the smallest disc.
     size_um = samples * SAMPLE_UM
-    light_lx = difference(film, shape=shape, size_um=size_um, contrast=-1, luminance_cd_per_m2=1000)
+    fields: dict[str, Any] = {"shape": shape, "size_um": size_um}
+    if widths is not None:
+        fields["length_um"] = widths * size_um
+    if shape == "lines":  # which are as bright as the field, so that their gap is a bar
+        fields["line_contrast"] = 0
+    light_lx = difference(film, contrast=-1, luminance_cd_per_m2=1000, **fields)
     cone = 1 + 4 * CAMERA.f_number**2 * (1 + CAMERA.magnification) ** 2
     cells = area * (size_um / (CAMERA.die_um[1] / film)) ** 2
     assert light_lx.sum() == pytest.approx(-math.pi * 1000 / cone * cells, rel=1.5e-4)
@@ -432,6 +440,10 @@ def test_light_of_a_target_is_its_area_times_the_irradiance(
     [
         ({"shape": "bar", "size_um": 4 * SAMPLE_UM}, np.s_[54:74, 62:66]),
         ({"shape": "edge"}, np.s_[:, FILM // 2 :]),
+        (
+            {"shape": "lines", "size_um": 4 * SAMPLE_UM, "length_um": 6 * SAMPLE_UM},
+            np.s_[61:67, 62:66],
+        ),
     ],
 )
 def test_bars_and_edges_have_a_direction(
@@ -446,6 +458,16 @@ def test_bars_and_edges_have_a_direction(
     expected[lit] = True
     np.testing.assert_array_equal(upright > 0, expected)
     np.testing.assert_allclose(lying, upright.T, rtol=1e-6)
+
+
+@pytest.mark.parametrize("width_mm", [2.0, 1.3])
+def test_lines_are_half_of_a_part_and_their_gap_is_as_bright_as_the_part(width_mm: float) -> None:
+    """In cells of 1 mm, of a field of 13 or 20 periods."""
+    drawn = Target(shape="lines", size_mm=width_mm, line_contrast=3.0, reflectance=0.2)
+    field = drawn.texels((16, 52), (16.0, 52.0), width_mm, 4.0)
+    assert field[0].mean() == pytest.approx(0.2 * (1 + 3 / 2), rel=1e-6)
+    assert field[0, 25:27] == pytest.approx(0.2 * (1 + 3 * min(width_mm / 2, 1)), rel=1e-6)
+    np.testing.assert_allclose(field[6:10, 25:27], 0.2, rtol=1e-6)
 
 
 def test_target_of_an_edited_xml_is_drawn(tmp_path: Path) -> None:

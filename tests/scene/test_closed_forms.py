@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from pixsim.scene.contents import Body, blur_um, face_one_way, greatest_blur_um,
 from pixsim.scene.film import details_across
 from pixsim.scene.job import Passes
 from pixsim.scene.own_chart import srgb_decoded
-from pixsim.scene.plan import decide_saturation
+from pixsim.scene.plan import decide_saturation, make_render_plan
 from pixsim.sensor.reading import Readout
 
 CAMERA = pixsim.Camera()
@@ -70,16 +71,42 @@ def field_m(pixel_um: float) -> tuple[float, float]:
     return depth_of_field_m(camera, pixel_um)
 
 
+PART_CAMERA = pixsim.Camera(focal_length_mm=16.0, f_number=2.8, die_mm=0.02, object_distance_m=0.3)
+CONE = 1 / (1 + 4 * PART_CAMERA.f_number**2 * (1 + PART_CAMERA.magnification) ** 2)
+
+
+def light_on_axis(quantity: str, **parameters: Any) -> float:
+    """Light of a part without a target in the middle of the film, in lx or W/m²."""
+    scene = load("target", contrast=0, size_um=1, **parameters).with_resolution(1)
+    plan = make_render_plan(scene, PART_CAMERA, exact=True)
+    image = pixsim.render(scene, PART_CAMERA, plan=plan)
+    weight = image.luminous_weight() if quantity == "lux" else image.band_width_nm
+    return float(image.weighted(weight).item())
+
+
 SPREAD_MM2 = 4.0 * 1e-3 * 5.0 * (1000.0 - 16.0)  # N c (u - f)
 LANES = Passes(1.0, ((0, (0.0,)),) * 3, ((0, 1), (2,)))
 CLAIMS = [
     Claim("CSF: 25 to 1000 cd/m² below (Michelson contrast 975/1025), a hundredth of it on top",
           lambda: [[row.min(), row.max()] for row in charts.csf_value(np.linspace(0, 1, 200_001), np.array([[0.0], [0.5], [1.0]])) * 1000],
           [[512.5 - half, 512.5 + half] for half in (4.875, 48.75, 487.5)], atol=1e-4, why="steps of the chart"),
-    Claim("white of a target is twice its background, or what is stated",
-          lambda: [load("target", **light).white_cd_per_m2 for light in (
-              {}, {"luminance_cd_per_m2": 5}, {"lux": 5 * math.pi}, {"luminance_cd_per_m2": 5, "white_cd_per_m2": 7})],
-          [2000.0, 10.0, 10.0, 7.0], rtol=1e-5, why="the file's scale of the lamp is rounded, 2e-6"),
+    Claim("white has lux/π, or what is stated",
+          lambda: [load(name, lux=5 * math.pi, **white).white_cd_per_m2 for name, white in (
+              *((name, {}) for name in ("target", "macbeth", "line_lamp", "cornell_box", "still_life")), ("target", {"white_cd_per_m2": 7}))],
+          [5.0, 5.0, 5.0, 5.0, 5.0, 7.0], rtol=5e-6, why="lamps and illuminances of the files are rounded"),
+    *(
+        Claim(f"light on axis of a matt part: ρ E/(1 + 4 N²(1 + m)²), {parameters}", partial(light_on_axis, quantity, **parameters),
+              on_part * CONE, rtol=3e-5, why="the files' lamps have six digits, and the film's cell is 0.03° wide")
+        for quantity, on_part, parameters in (
+            ("lux", 800.0, {"lux": 800}),
+            ("lux", 400.0, {"lux": 800, "reflectance": 0.5}),
+            ("lux", 400.0, {"lux": 800, "reflectance": 0.5, "lamp": "spectra/a.spd"}),
+            ("lux", 500 * math.pi, {"reflectance": 0.5, "lamp": "spectra/fl11.spd"}),
+            ("watts", 2 * math.sqrt(0.5), {"reflectance": 0.4, "lamp": "spectra/led_850nm.spd"}),
+            ("watts", 1.0, {"reflectance": 0.4, "lamp": "spectra/led_850nm.spd", "incidence_deg": 60}),
+            ("watts", 2.8, {"reflectance": 0.4, "lamp": "spectra/led_940nm.spd", "irradiance_w_per_m2": 7}),
+        )
+    ),
     *(
         Claim(f"blur disc at {depth_m:g} m, f/{camera.f_number}", partial(blur_um, camera, depth_m),
               disc_um(camera, depth_m), rtol=1e-9, atol=1e-9)

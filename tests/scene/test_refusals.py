@@ -40,6 +40,7 @@ COLD = (
 EDGE = (FOLDER / "charts/slanted_edge.exr").read_bytes()
 DEPTH = """<default name="depth" value="3"/><integrator type="path">
     <integer name="max_depth" value="$depth"/></integrator>"""
+INFRARED = "spectra/led_850nm.spd"
 LUX = '<default name="lux" value="1000"/>'
 NOWHERE = (
     '<transform name="to_world"><lookat origin="0,0,0" target="0,0,0" up="0,1,0"/></transform>'
@@ -267,7 +268,18 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     # Its target
     "two sizes": (lambda _: load("target", size_mm=3, size_um=3), "size_mm and size_um"),
     "the size of an edge": (lambda _: load("target", shape="edge", size_mm=3), "'edge', which has no size"),
-    "the direction of a disc": (lambda _: load("target", direction="vertical"), "'disc', which has none"),
+    "the direction of a disc": (lambda _: load("target", direction="vertical"), "'disc', which has no direction"),
+    "two lengths": (lambda _: load("target", shape="bar", length_mm=3, length_um=3), "length_mm and length_um"),
+    "the length of a disc": (lambda _: load("target", length_mm=3), "'disc', which has no length"),
+    "lines of a bar": (lambda _: load("target", shape="bar", line_contrast=1), "'bar', which has no lines"),
+    "more than all light": (lambda _: load("target", reflectance=1.1), "reflectance"),
+    "lux that nobody sees": (lambda _: load("target", lamp=INFRARED, lux=500), "lux.*irradiance_w_per_m2"),
+    "lux of a scene that nobody sees": (lambda _: load("macbeth", lamp=INFRARED, lux=500), "lux.*unknown or 0"),
+    "an angle without a lamp": (lambda _: load("csf", incidence_deg=10), "incidence_deg: .*without a lamp"),
+    "an angle of stated light": (lambda _: load("csf", lamp=INFRARED, incidence_deg=0, irradiance_w_per_m2=5), "incidence_deg.*together with irradiance"),
+    "light from behind": (lambda _: load("csf", lamp=INFRARED, incidence_deg=91), "incidence_deg.*91"),
+    "a lamp beside D65": (lambda _: load("csf", lamp=INFRARED, emitter_scale=1), "lamp.*emitter_scale"),
+    "a lamp that is not there": (lambda _: load("csf", lamp="spectra/sun.spd"), "lamp: .*does not exist"),
     "a target on another chart": (lambda _: load("target", chart="charts/flat.exr", contrast=0.1), "'contrast'"),
     "the target of another chart": (lambda _: load("flat").target, r"chart of 'flat\.xml'"),
     "a target larger than its field": (lambda _: drawn(size_mm=1000), "size of the target.* in a field"),

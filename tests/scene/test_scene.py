@@ -51,20 +51,21 @@ def test_packaged_scenes_have_their_name_and_the_default_camera(name: str) -> No
     assert scene.camera() == pixsim.Camera(**near)
 
 
-def test_parameters_reach_nodes(tmp_path: Path) -> None:
-    """Also one that pixsim would read in other scenes; one without a default is required."""
-    body = BALL.format("$lux")
-    default = '<default name="lux" value="0.5"/>'
+@pytest.mark.parametrize("name", ["lux", "contrast", "incidence_deg"])
+def test_parameters_reach_nodes(name: str, tmp_path: Path) -> None:
+    """Also those that pixsim would read in other scenes; one without a default is required."""
+    body = BALL.format(f"${name}")
+    default = f'<default name="{name}" value="0.5"/>'
     for elements, values, expected in (
         ([default, body], {}, 0.5),
-        ([default, body], {"lux": 0.25}, 0.25),
-        ([default, body], {"lux": "2e-3"}, 0.002),
-        ([body], {"lux": 0.125}, 0.125),
+        ([default, body], {name: 0.25}, 0.25),
+        ([default, body], {name: "2e-3"}, 0.002),
+        ([body], {name: 0.125}, 0.125),
     ):
         path = scene_file(tmp_path, sensor_xml(), *elements)
         nodes = load(path, **values).parse().nodes
         assert [float(node["radius"]) for node in nodes if "radius" in node] == [expected]
-    with pytest.raises(pixsim.PixsimError, match="lux"):
+    with pytest.raises(pixsim.PixsimError, match=name):
         load(path)
 
 

@@ -237,6 +237,10 @@ def test_target_is_seen_from_the_light_that_is_too_dark_to_the_light_that_fills_
 @pytest.mark.parametrize(
     ("lux", "detectability", "words"),
     [
+        (50.0, {}, "not seen: detectability"),
+        (50.0, {"threshold": 2.0}, "seen: detectability"),
+        (50.0, {}, "50 lx of visible light (CIE D65) on a part of reflectance 1"),
+        (50.0, {"solve_for": "lux", "threshold": 2.0}, "on a part of reflectance 1"),
         (50.0, {}, "at 2.06 times this contrast"),
         (5.0, {}, "darker than black"),
         (1e5, {}, "pixels are full"),

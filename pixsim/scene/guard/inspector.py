@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, quoted
+from pixsim.light.quantities import LAMP
 from pixsim.scene.guard.assets import check_asset, metals, spectrum_value
 from pixsim.scene.guard.files import SceneElement, SceneFiles, read_scene, written
+from pixsim.scene.guard.lamp import with_lamp
 from pixsim.scene.guard.plate import with_plate
 from pixsim.scene.guard.plugins import PLUGINS, Plugin, PropertyRule
 from pixsim.scene.guard.strength import with_strength
@@ -103,10 +105,13 @@ def open_scene(
     parameters: dict[str, str],
     strength: float | None = None,
     plate: Sequence[float] | None = None,
+    lamp_factor: float | None = None,
 ) -> SceneText:
     """Return a scene's text for Mitsuba.
 
     parameters : those that the user sets
+    lamp_factor : radiance of the scene's chart at texel value 1, over the table that the parameter
+        `lamp` names. None: the scene has no such chart
     strength : factor on the light of all emitters
     plate : transform of a white plate that is added to the scene, 16 numbers, row by row
 
@@ -117,6 +122,9 @@ def open_scene(
     assert files.root is not None
     inspector = _Inspector(files)
     root = inspector.scene(files.root)
+    if lamp_factor is not None:
+        file = files.locate(parameters[LAMP], files.folder, LAMP, f"scene.{LAMP}")
+        root = with_lamp(root, spectrum_value(file), lamp_factor)
     root = root if strength is None else with_strength(root, strength)
     root = root if plate is None else with_plate(root, plate)
     text, places = written(root)
