@@ -30,7 +30,13 @@ from typing import IO, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.files import FOLDER_VARIABLE, bytes_of_variable, cache_folder, version_of
+from pixsim.base.files import (
+    FOLDER_VARIABLE,
+    bytes_of_variable,
+    cache_folder,
+    digest_of,
+    version_of,
+)
 from pixsim.base.locks import remove_leftovers, unfinished
 from pixsim.base.notes import Note, warn
 from pixsim.base.version import VERSION
@@ -146,7 +152,7 @@ def store_digest_of(path: Path) -> None:
     """Store the digest of an entry that another library wrote and reads, such as a texture, as a
     JSON entry of the same key.
     """
-    store_value(path.parent.name, path.stem, {"digest": _digest_of_file(path)})
+    store_value(path.parent.name, path.stem, {"digest": digest_of(path)})
 
 
 def is_unchanged_file(path: Path) -> bool:
@@ -154,12 +160,7 @@ def is_unchanged_file(path: Path) -> bool:
     if not is_entry(path):
         return False
     digest = value_of(path.parent.name, path.stem, lambda value: str(value["digest"]))
-    return digest == _digest_of_file(path)
-
-
-def _digest_of_file(path: Path) -> str:
-    with path.open("rb") as file:
-        return _digest_of_rest(file)
+    return digest == digest_of(path)
 
 
 def _digest_of_rest(file: IO[bytes]) -> str:

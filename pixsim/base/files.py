@@ -284,12 +284,16 @@ def digest_of(path: Path) -> str:
         status = os.fstat(file.fileno())
     times_ns = status.st_mtime_ns, status.st_ctime_ns
     if time.time_ns() - max(times_ns) < UNCHANGED_NS:
-        _digest_of.cache_clear()
+        return _read_digest_of(path)
     return _digest_of(path, (status.st_dev, status.st_ino, status.st_size, *times_ns))
 
 
 @cache
 def _digest_of(path: Path, _: tuple[int, ...]) -> str:
+    return _read_digest_of(path)
+
+
+def _read_digest_of(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 

@@ -7,6 +7,7 @@ not on the lens.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -31,6 +32,7 @@ Side = Annotated[int, Bounds(1, 32768)]  # texels
 _HighestFrequency = Annotated[float, Bounds(SMALLEST, 1e6)]
 Texels = Annotated[NDArray[np.float32], Axes(2)]
 KIND = "charts"  # of entries of the cache
+_USE_S = 3600.0  # after which another use of a texture is noted in its time
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.
 LUMINANCE_CD_PER_M2 = (25.0, 1000.0)
 _MAX_FREQUENCY_LP_PER_MM = 1e3 / (2 * 15.0)  # Nyquist frequency of the largest pixel, 15 µm
@@ -304,8 +306,10 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     label = {cache.ENTRY: cache.entry_label(KIND, key)}
     path = cache.folder() / KIND / f"{key}.exr"
     if cache.is_unchanged_file(path):
-        with suppress(OSError):  # a read-only cache works too
-            os.utime(path, follow_symlinks=False)
+        # Other times would have its digest computed again; a read-only cache works too.
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > _USE_S:
+                os.utime(path, follow_symlinks=False)
         return path
 
     texels = None

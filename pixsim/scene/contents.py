@@ -854,7 +854,7 @@ def _takes_map(node: Node, name: str) -> bool:
     return node.plugin in MAPS or name in _MAP_NAMES
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)  # of two sensors that are compared
 def _texels_of(path: Path, digest: str) -> NDArray[np.float32]:
     """Return the texels of a neutral EXR, shared by several calls, which must not change them.
 
