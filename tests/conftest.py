@@ -129,7 +129,7 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than
     a detail.
     """
-    own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 512, "paper": True})
+    own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 256, "paper": True})
     return pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 

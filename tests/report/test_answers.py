@@ -128,7 +128,7 @@ def test_headlines_of_studies_are_short(is_inside: bool, fit_swings: bool) -> No
 
 
 SMALL = (
-    "--display.dots 120 --resolution 48 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant"
+    "--scene slanted_edge --display.dots 120 --resolution 48 --repeats 3 --jobs 1 --variant"
     " scalar_spectral"
 )
 
@@ -276,13 +276,13 @@ def test_each_value_of_an_axis_is_a_comparison_of_its_own(
         '{ name = "light", set = "scene.parameters.luminance_cd_per_m2", values = [0.05, 100.0] }'
     )
     Path("lights.toml").write_text(f'name = "lights"\naxis = [{axis}]\n', encoding="utf-8")
-    small = "--display.dots 32 --resolution 48 --repeats 3 --jobs 1 --match view"
+    small = "--scene flat --display.dots 32 --resolution 48 --repeats 3 --jobs 1 --match view"
     code, out, err = command(f"compare --study lights.toml --out out {small}", *files)
     assert code == 0, err
     content = json.loads(Path("out/compare.json").read_text(encoding="utf-8"))
     assert out.splitlines()[0] == content["verdicts"][content["names"][1]]
     options = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1, "match": "view"}
     for light, case in zip((0.05, 100.0), content["cases"], strict=True):
-        alone = pixsim.compare(files, parameters={"luminance_cd_per_m2": light}, **options)
+        alone = pixsim.compare(files, "flat", parameters={"luminance_cd_per_m2": light}, **options)
         expected = json.loads(json.dumps(numbers(alone)))
         assert case == {"at": {"light": light}} | expected

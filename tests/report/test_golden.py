@@ -50,7 +50,8 @@ COMMANDS = {
 FURTHER_COMMANDS = {
     "cases": (
         "study pixel-size --variant scalar_spectral --resolution 32 --display.dots 32"
-        " --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick --jobs 1"
+        " --pixel.technology 0.35um --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick"
+        " --jobs 1"
         " --axis camera.f_number=2.8,4 --out cases"
     ),
     "folders": "compare run run --json",

@@ -87,8 +87,8 @@ def command_in(folder: Path) -> str:
 RUN_FILES = ("raw.exr", "delta_e.exr", "image.png", "ideal.png")
 SCORE = ("mean_delta_e", "camera", "exposure", "display", "seed", "render_noise", "dark")
 PAIR = (
-    "compare quiet.toml 'noisy one.toml' --display.dots 32 --resolution 48 --repeats 2 --variant"
-    " scalar_spectral"
+    "compare quiet.toml 'noisy one.toml' --scene slanted_edge --display.dots 32 --resolution 48"
+    " --repeats 2 --variant scalar_spectral"
 )
 REPEATED = "compare sensors/quiet.toml sensors/noisy_one.toml"
 COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_dots", "display")

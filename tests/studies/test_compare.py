@@ -27,8 +27,10 @@ from pixsim.studies.paired import Pairs, paired
 from pixsim.studies.sensors import SensorGroup, matched_cameras, pixels_of, prepare
 from pixsim.studies.table import Table
 
-# A chart without samples, few pixels and dots: a comparison takes 0.2 s.
-SMALL: dict[str, Any] = {"display": {"dots": 48}, "resolution": 48, "jobs": 1}
+# A chart without samples that is the same on every die, few pixels and dots: a comparison takes
+# 0.2 s.
+EDGE = "slanted_edge"
+SMALL: dict[str, Any] = {"scene": EDGE, "display": {"dots": 48}, "resolution": 48, "jobs": 1}
 OPTIONS: dict[str, Any] = {"match": "view", "repeats": 3, "jobs": 1}
 DIM = {"luminance_cd_per_m2": 1.0}
 DAY = {
@@ -49,7 +51,7 @@ def two_sheets(folder: Path, first: Any = (), second: Any = (), **more: str) -> 
 
 
 def prepared(
-    files: list[Path], scene: str = "csf", match: Any = "view", **options: Any
+    files: list[Path], scene: str = "flat", match: Any = "view", **options: Any
 ) -> SensorGroup:
     return prepare(files, scene, match=match, repeats=2, options=options).shown
 
@@ -135,9 +137,8 @@ def test_matched_lens_is_that_of_the_first_or_of_each() -> None:
 def test_one_part_of_the_scene_is_scored(match: str, tmp_path: Path) -> None:
     """Dots, borders and charts are the same fractions of every field, whatever the pixels."""
     lens = "focal_length_mm = 15.0\n" if match == "own" else ""
-    group = prepared(
-        two_sheets(tmp_path, (3.0, 21.3, "[64, 48]"), (3.0, 7.7, "[150, 151]", lens)), match=match
-    )
+    files = two_sheets(tmp_path, (3.0, 21.3, "[64, 48]"), (3.0, 7.7, "[150, 151]", lens))
+    group = prepared(files, "csf", match)
     coarse, fine = group.cases
     pitch_mm = [1e-3 * case.settings.pixel.pitch_um for case in group.cases]
     die_mm = [case.camera.die_mm for case in group.cases]
@@ -154,7 +155,7 @@ def test_border_is_that_of_what_is_read(tmp_path: Path) -> None:
     """Binned pixels of 20 µm are read as such of 40 µm."""
     colour = 'sensitivities = "Sony_ILCE-7M4"\npeak_quantum_efficiency = 0.6\n'
     more = f'[pixel.colour]\npattern = "quad_rggb"\nbinning = true\n{colour}'
-    border = prepared(two_sheets(tmp_path, more=more), "macbeth").border
+    border = prepared(two_sheets(tmp_path, more=more)).border
     assert border == pytest.approx(1.5 * 40.0 / (64 * 20.0), rel=1e-12)
 
 
@@ -216,9 +217,8 @@ def test_frames_are_scored_on_half_and_twice_the_dots(
 def test_copy_of_a_sensor_has_no_difference(noisy: Comparison) -> None:
     """Equal sensors share their noise, and either is as likely the better one."""
     assert noisy.names == ("a", "a-2", "noisy")
-    assert noisy.difference["a-2"] == 0.0
-    assert noisy.interval_delta_e["a-2"] == (0.0, 0.0)
-    assert noisy.probability_a_better["a-2"] == 0.5
+    numbers = noisy.difference, noisy.interval_delta_e, noisy.probability_a_better
+    assert [values["a-2"] for values in numbers] == [0.0, (0.0, 0.0), 0.5]
     assert np.std(noisy.delta_e["a"]) > 0, "frames differ"
 
 
@@ -261,9 +261,11 @@ def test_another_sensor_changes_no_verdict_on_a_pair(tmp_path: Path) -> None:
     """One of more dots and detail; means are on one display for all."""
     files = two_sheets(tmp_path, (), (3.0, 16.0, "[80, 70]"))
     third = sheet(tmp_path / "third.toml", 3.0, 9.0, "[140, 140]")
-    options: dict[str, Any] = {"match": "lens", "resolution": 48, "repeats": 2, "jobs": 1}
-    alone = pixsim.compare(files, **options)
-    among = pixsim.compare([*files, third], **options)
+    options = {name: SMALL[name] for name in ("scene", "resolution", "jobs")}
+    alone, among = (
+        pixsim.compare(sheets, match="lens", repeats=2, **options)
+        for sheets in (files, [*files, third])
+    )
     for name in ("difference", "interval_delta_e", "probability_a_better", "displays", "verdicts"):
         assert numbers(among)[name]["b"] == numbers(alone)[name]["b"]
     assert among.scores["b"] != alone.scores["b"]
@@ -286,19 +288,14 @@ def test_the_other_match_is_tried_where_none_is_stated(tmp_path: Path) -> None:
 
 
 def test_difference_on_another_display_is_that_of_a_comparison_with_it(tmp_path: Path) -> None:
-    """The same frames on another display, which only then is stated: bit for bit, with one chart
-    and one film.
+    """The same frames on another display, which only then is stated: bit for bit, with one film.
 
     Other pixels, dies and lenses: the ideal images show the same scene, dot by dot, to two steps of
     8 bits at white, since magnification changes the fall-off.
     """
-    compare = partial(
-        pixsim.compare,
-        two_sheets(tmp_path, (), (3.0, 9.1, "[140, 120]")),
-        parameters={MAX_LP_PER_MM: 25.0},
-        resolution=48,
-        **OPTIONS | {"repeats": 2},
-    )
+    files = two_sheets(tmp_path, (), (3.0, 9.1, "[140, 120]"))
+    options = OPTIONS | {"repeats": 2}
+    compare = partial(pixsim.compare, files, EDGE, resolution=48, **options)
     result = compare()
     first, second = (sensor.score.ideal for sensor in result.sensors)
     np.testing.assert_allclose(first, second, atol=0.02)
@@ -317,10 +314,8 @@ def test_best_size_on_another_display_is_that_of_a_study_with_it(tmp_path: Path)
     options: dict[str, Any] = {
         "config": sheet(tmp_path / "a.toml"),
         "pitch": {"min_um": 10.0, "max_um": 40.0, "count": 5},
-        "resolution": 48,
-        "jobs": 1,
         "refine": False,
-        "parameters": {MAX_LP_PER_MM: 20.0},
+        **{name: SMALL[name] for name in ("scene", "resolution", "jobs")},
     }
     result = pixsim.study("pixel-size", tmp_path / "all", repeats=3, **options)
     half, twice = result.curves[0].on_displays
@@ -341,7 +336,8 @@ def test_best_size_on_another_display_is_that_of_a_study_with_it(tmp_path: Path)
 
 
 def plan(**over: Any) -> Study:
-    return Study(name="both", resolution=48, exposure={"max_integration_s": 0.05}, **over)
+    table = {"scene": {"file": EDGE}, "resolution": 48, "exposure": {"max_integration_s": 0.05}}
+    return Study(name="both", **table | over)
 
 
 @pytest.fixture(scope="module")
@@ -357,15 +353,8 @@ def both(files: list[Path]) -> Comparison:
 def test_a_condition_is_the_comparison_of_it_alone_bit_for_bit(
     both: Comparison, files: list[Path]
 ) -> None:
-    night = pixsim.compare(
-        files,
-        parameters=DIM,
-        display=NIGHT["display"],
-        camera=NIGHT["camera"],
-        exposure={"max_integration_s": 0.05},
-        resolution=48,
-        **OPTIONS,
-    )
+    alone = {"display": NIGHT["display"], "camera": NIGHT["camera"], "parameters": DIM}
+    night = pixsim.compare(files, study=plan(), **alone, **OPTIONS)
     differences = both.pairs("b", condition="night").differences
     np.testing.assert_array_equal(differences, night.differences["b"])
     assert both.sign("b", condition="night") == night.sign("b")
@@ -387,7 +376,7 @@ def test_shown_condition_is_the_first_of_weight_above_0(files: list[Path]) -> No
     job = prepare(files, study=plan(condition=[never, *BOTH[::-1]]), match="view", repeats=2)
     assert job.shown.first.condition == "night"
     groups = [(group.first.condition, group.scene) for group in job.groups]
-    assert groups == [("never", "flat"), ("night", "csf"), ("day", "csf")]
+    assert groups == [("never", "flat"), ("night", EDGE), ("day", EDGE)]
 
 
 def test_chart_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> None:
@@ -395,7 +384,8 @@ def test_chart_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> 
     slow = {"name": "slow", "set": {"camera": {"f_number": 90.0}}}
     fast = {"name": "fast", "set": {"camera": {"f_number": 2.0}}}
     for order, limit in (([slow, fast], "cut-off"), ([fast, slow], "Nyquist")):
-        job = prepare(files, study=plan(condition=order), match="view", repeats=2)
+        study = plan(condition=order, scene={"file": "csf"})
+        job = prepare(files, study=study, match="view", repeats=2)
         assert limit in job.shown.view["limited_by"]
         assert len({group.first.scene.parameters["max_lp_per_mm"] for group in job.groups}) == 1
 
@@ -408,15 +398,11 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     options = {"exposure": {"well_target": 0.5}}
     job = prepare(files, study=study, match="own", repeats=2, options=options)
     settings_of_cases = [
-        (case.camera.f_number, case.settings.exposure.max_integration_s)
-        for group in job.groups
-        for case in group.cases
+        (case.camera.f_number, exposure.max_integration_s, exposure.well_target)
+        for case in job.cases
+        for exposure in (case.settings.exposure,)
     ]
-    assert settings_of_cases == [(2.0, 0.02), (8.0, 0.02), (2.0, 0.05), (2.0, 0.05)]
-    well_targets = {
-        case.settings.exposure.well_target for group in job.groups for case in group.cases
-    }
-    assert well_targets == {0.5}
+    assert settings_of_cases == [(2, 0.02, 0.5), (8, 0.02, 0.5), (2, 0.05, 0.5), (2, 0.05, 0.5)]
     assert job.shown.cases[0].camera.die_mm == 1.28
 
 

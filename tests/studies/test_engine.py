@@ -37,6 +37,7 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.studies import engine
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 
+PACKAGE = Path(pixsim.__file__).parent
 LIGHTS = {
     "name": "light",
     "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"],
@@ -116,25 +117,39 @@ def test_workers_collect_garbage_and_work_in_the_current_folder(
 # --- a study --------------------------------------------------------------------------------------
 
 
-def test_study_that_was_killed_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a study, its technology and its scene, and the study's rows by one process."""
+    folder = tmp_path_factory.mktemp("desk")
+    shutil.copy(PACKAGE / "data/technologies/0.35um.toml", folder / "mine.toml")
+    shutil.copy(packaged_scenes()["csf"], folder / "mine.xml")
+    files = {"technologies": ["mine.toml"], "scene": {"file": "mine.xml"}}
+    text = tiny_toml(axis=[LIGHTS, TIMES], **FEW | files)
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    with contextlib.chdir(folder):
+        pixsim.study("study.toml", "whole", jobs=1)
+    return folder
+
+
+def test_study_that_was_killed_is_resumed(
+    desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Killed in the second sensor of the eighth task, of another light than the first; two
     processes go on, by the rows of both.
 
     Two of the frames that are counted are of the small light on which settings are tried.
     """
-    toml = tmp_path / "axes.toml"
-    toml.write_text(tiny_toml(axis=[LIGHTS, TIMES], **FEW), encoding="utf-8")
-    pixsim.study(toml, tmp_path / "whole", jobs=1)
+    monkeypatch.chdir(desk)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     out = tmp_path / "out"
-    words = ["study", str(toml), "--out", str(out), "--jobs", "1"]
-    process = Forked(signalled(signal.SIGKILL, 18), words, tmp_path, dict(os.environ))
+    words = ["study", "study.toml", "--out", str(out), "--jobs", "1"]
+    process = Forked(signalled(signal.SIGKILL, 18), words, desk, dict(os.environ))
     _, err = process.communicate()
     assert process.wait() == -signal.SIGKILL, err
     assert {path.name for path in out.iterdir()} - {".pixsim.lock"} == {"results.csv"}
-    counts = pixsim.study(toml, out, jobs=2).counts
+    counts = pixsim.study("study.toml", out, jobs=2).counts
     assert (counts.evaluations_reused, counts.evaluations_made) == (14, 4 * 5 * 2 - 14)
-    assert (out / "results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
+    assert (out / "results.csv").read_bytes() == Path("whole/results.csv").read_bytes()
 
 
 # --- a cluster ------------------------------------------------------------------------------------
@@ -142,7 +157,7 @@ def test_study_that_was_killed_is_resumed(tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of a Dask scheduler with two worker processes, which have another current folder and
+    """Address of a Dask scheduler with a worker process, which has another current folder and
     another cache.
     """
     distributed = pytest.importorskip("distributed", reason="Dask is not installed")
@@ -151,7 +166,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         monkeypatch.chdir(folder)
         monkeypatch.setenv(FOLDER_VARIABLE, str(folder / "cache"))
         running = distributed.LocalCluster(
-            n_workers=2,
+            n_workers=1,
             threads_per_worker=1,
             protocol="tcp://",
             dashboard_address=None,
@@ -186,21 +201,16 @@ def test_comparison_on_the_cluster_of_a_client_is_the_same(client: Any) -> None:
 
 
 def test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_there(
-    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cluster: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither scene nor technology: another file of that name in a worker's folder would be taken
     for the user's. Lights of a batch travel together; here two batches of two.
     """
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(desk)
     monkeypatch.setattr("pixsim.viewer.scene_light.SCENE_CACHE_BYTES", 150_000)
-    shutil.copy(Path(pixsim.__file__).parent / "data/technologies/0.35um.toml", "mine.toml")
-    shutil.copy(packaged_scenes()["csf"], "mine.xml")
-    files = {"technologies": ["mine.toml"], "scene": {"file": "mine.xml"}}
-    Path("study.toml").write_text(tiny_toml(axis=[LIGHTS, TIMES], **FEW | files), encoding="utf-8")
-    there = pixsim.study("study.toml", "there", scheduler=cluster)
-    pixsim.study("study.toml", "here", jobs=1)
+    there = pixsim.study("study.toml", tmp_path, scheduler=cluster)
     assert there.scenes.capacity == 2
-    assert Path("there/results.csv").read_bytes() == Path("here/results.csv").read_bytes()
+    assert (tmp_path / "results.csv").read_bytes() == Path("whole/results.csv").read_bytes()
 
 
 def test_cheap_calls_go_to_a_cluster_in_batches(client: Any) -> None:

@@ -51,6 +51,17 @@ def test_study_has_columns_and_best_sizes_of_each_metric(judged: tuple[StudyResu
     assert summary["metrics"]["mtf50_cy_per_mm"] == curve.mean("mtf50_cy_per_mm").tolist()
 
 
+def test_figure_of_metrics_has_the_means_of_their_sensors(
+    judged: tuple[StudyResult, Path], tmp_path: Path
+) -> None:
+    result, _ = judged
+    result.write(tmp_path)
+    for column in ("mean_delta_e", "information"):
+        means = [float(row[column]) for row in rows(tmp_path / "figures/metrics.csv")]
+        expected = result.curves[0].statistics[column].mean(axis=1)
+        np.testing.assert_allclose(means, expected, rtol=1e-6)
+
+
 def test_best_sizes_by_information_at_other_contrasts_are_those_of_their_columns(
     judged: tuple[StudyResult, Path],
 ) -> None:
@@ -201,7 +212,7 @@ def run_of_target(more: dict[str, Any], detectability: Any = (), **parameters: f
     return pixsim.run(
         "target",
         parameters=TARGET | parameters,
-        metric={"detectability": {"registrations": 2} | dict(detectability)},
+        metric={"detectability": {"registrations": 1} | dict(detectability)},
         **more,
         **SMALL,
     )

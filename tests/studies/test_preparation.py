@@ -666,7 +666,7 @@ LIGHT = SpectralImage(
 )
 # Arguments of `study`, each with another value than its default; beside the fields of its settings.
 ARGUMENTS: dict[str, Any] = {
-    "config": "sensor.toml", "parameters": {"luminance_cd_per_m2": 5.0}, "pixel": {"bits": 8}, "scene": "flat", "quick": True,
+    "config": "sensor.toml", "parameters": {"luminance_cd_per_m2": 5.0}, "pixel": {"bits": 8}, "scene": "csf", "quick": True,
     "jobs": 1, "scheduler": "tcp://localhost:8786", "variant": "scalar_spectral", "progress": lambda _: lambda _: None,
     "agreed": True, "uncertainty": 8, "sobol": 8, "smaller_than_um": (3.0,), "metrics": ("delta_e", "acutance"), "light": LIGHT,
     "without": LIGHT,
@@ -724,7 +724,7 @@ def test_options_of_the_command_line_are_those_of_a_study() -> None:
 
 def made_by_compare(options: dict[str, Any]) -> object:
     """What a comparison would make: its cases."""
-    small = {"resolution": 48, "display": {"dots": 48}}
+    small = {"scene": "flat", "resolution": 48, "display": {"dots": 48}}
     job = pixsim.compare(["a.toml", "b.toml"], **small | options)
     cases = [
         (case.settings, case.camera, case.imaging, case.sizes, case.labels, case.header)
