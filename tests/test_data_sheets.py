@@ -20,6 +20,7 @@ from pixsim.cli.options import SceneOptions
 from pixsim.measure.datasheet import datasheet_settings, make_datasheet
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.unit_slips import unit_slips
+from pixsim.studies import run
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import check_technologies, prepare
 from pixsim.studies.sensors import sensor_layer
@@ -286,6 +287,8 @@ def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) 
         noted(lambda: pixsim.evaluate(light, camera, pixsim.Pixel(**pixel), display=display))
         == slips
     )
+    settings = run_settings((), {"pixel": pixel, "display": {"dots": 64}})
+    assert noted(lambda: run.prepare("csf", settings)) == slips, "before a render"
     sheet = {name: value for name, value in pixel.items() if name != "pitch_um"}
     sheet |= {"data_sheet_pitch_um": 30.0}
     sizes = {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}

@@ -170,7 +170,7 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
 
 def _unknown_name(title: str, path: Sequence[str], where: str, listed: set[str]) -> str:
     *above, name = path
-    hint = _hint_of_name(title, above, name.replace("-", "_"))
+    hint = _hint_of_name(title, above, name.replace("-", "_").lower())
     table = where.rpartition(".")[0] if above else ""
     allowed = "" if table in listed else f"; allowed: {', '.join(_names_at(title, above))}"
     listed.add(table)
@@ -232,7 +232,9 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
     meant_paths = names_meant(title, above, name)
     if not meant_paths:
         return did_you_mean(name, _names_at(title, above))
-    if above and (replacement := replacement_words(title, meant_paths[0], name)):
+    is_plain = bool(above) or len(meant_paths) == 1
+    replacement = replacement_words(title, meant_paths[0], name) if is_plain else ""
+    if replacement and (above or len(meant_paths[0]) == 1):
         return replacement
     if _record(title, meant_paths[0]):
         return f"Write {' or '.join('[' + '.'.join(path) + ']' for path in meant_paths)}."
@@ -244,7 +246,7 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
         f"in [{path[0]}]" if path[1:] else "above all tables" for path in meant_paths
     )
     renamed = "" if names == [name] else f", as {' or '.join(names)}"
-    return f"It belongs {' or '.join(tables)}{renamed}."
+    return f"It belongs {' or '.join(tables)}{renamed}. {replacement}".rstrip()
 
 
 def _hint(title: str, path: Sequence[str], value: Any) -> str:

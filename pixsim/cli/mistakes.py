@@ -53,8 +53,9 @@ def refusal(error: CycloptsError) -> str:
         name = _word_of(error.argument)
         allowed = error.argument.parameter.help
         text = f"{command}: got no {name}; allowed: {allowed}"
-    elif isinstance(error, UnknownOptionError) and error.token.keyword:
-        name = error.token.keyword.partition("=")[0]
+    elif isinstance(error, UnknownOptionError):
+        # After a list of files, as of `compare`, Cyclopts has the option as a value.
+        name = (error.token.keyword or error.token.value).partition("=")[0]
         if hint := _hint_of_option(name, options, proposed="Did you mean" in text):
             text = f"Unknown option: {name}. {hint}"
     return f"{text}\nTry 'pixsim{command and ' '}{command} --help'."
@@ -104,16 +105,23 @@ def _hint_of_option(name: str, options: set[str], proposed: bool) -> str:
 
     Empty if nothing better is known.
     """
-    *tables, last = name.lstrip("-").replace("-", "_").split(".")
+    *tables, last = name.lstrip("-").replace("-", "_").lower().split(".")
     meant_paths = names_meant(Run.__name__, tables, last)
     candidates = ["--" + ".".join(path).replace("_", "-") for path in meant_paths]
     replacement = ""
-    if tables and meant_paths:
+    if meant_paths and (tables or len(meant_paths) == 1):
         replacement = replacement_words(Run.__name__, meant_paths[0], last)
     candidates += [option for option in sorted(options) if option.startswith(f"{name}-")]
     candidates += [_OTHER_NAME[name]] if name in _OTHER_NAME else []
     if candidates := [option for option in dict.fromkeys(candidates) if option in options]:
         return f"Did you mean {' or '.join(candidates)}? {replacement}".rstrip()
+    if commands := _commands_with(name):
+        return f"Commands with this option: {', '.join(commands)}."
     if "-D" in options and not (proposed or tables) and name.startswith("--"):
         return f"A parameter of the scene goes after -D: -D {last}=VALUE"
     return ""
+
+
+def _commands_with(option: str) -> list[str]:
+    """Return the names of the commands that have an option."""
+    return [command for command in app if command[0] != "-" and option in names_of(command)[1]]

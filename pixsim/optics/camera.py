@@ -24,6 +24,7 @@ from pixsim.light.quantities import Fraction
 from pixsim.optics.chief_rays import ChiefRayAngles, ChiefRays, RelativeIllumination
 from pixsim.optics.lens_options import ANY_LENS_FIELDS, LensOptions, PrescriptionOptions, TracedLens
 from pixsim.optics.quantities import (
+    DIE_RANGE_MM,
     DieWidth,
     Distance,
     FieldOfView,
@@ -486,7 +487,8 @@ class CameraOptions(Record):
     def with_die(self, pitch_um: Positive | None) -> CameraOptions:
         """Return these options with the die of `pixels` at a pitch (µm).
 
-        Raises ValueError if a stated die differs by more than half a pixel.
+        Raises ValueError if a stated die differs by more than half a pixel, and for a die of an
+        impossible size.
         """
         if self.pixels is None:
             return self
@@ -499,6 +501,13 @@ class CameraOptions(Record):
         die_mm = {}
         for name, count in zip(("die_mm", "die_height_mm"), self.pixels, strict=True):
             size_mm = 1e-3 * count * pitch_um
+            low_mm, high_mm = DIE_RANGE_MM
+            if not low_mm <= size_mm <= high_mm:
+                raise ValueError(
+                    f"camera.pixels = {list(self.pixels)} of {pitch_um:g} µm are a die of"
+                    f" {size_mm:.6g} mm; allowed: dies of {low_mm:g} to {high_mm:g} mm. Check"
+                    " pixel.pitch_um, which is in µm"
+                )
             stated_mm = getattr(self, name)
             if stated_mm is not None and abs(stated_mm - size_mm) > 0.5e-3 * pitch_um:
                 raise ValueError(

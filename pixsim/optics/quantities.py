@@ -12,7 +12,8 @@ FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
 FNumber = Annotated[
     float, Field(ge=1e-6, le=1e6)
 ]  # the lower limit depends on the magnification, up to `MAX_MAGNIFICATION`
-DieWidth = Annotated[float, Field(ge=1e-5, le=1000)]  # 10 nm ... 1 m
+DIE_RANGE_MM = (1e-5, 1000.0)  # 10 nm ... 1 m
+DieWidth = Annotated[float, Field(ge=DIE_RANGE_MM[0], le=DIE_RANGE_MM[1])]
 Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light years
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
 OutsideLight = Annotated[

@@ -367,6 +367,7 @@ def limit_overshoot(running: Array, samples: Array, edges: Array) -> Array:
 
 
 M2_PER_UM2 = 1e-12
+_ROUNDED_UP = 5e-4  # relative: a number rounded to four digits is then not below itself
 MAX_PIXELS = 1 << 26  # 0.5 GiB for each map in float64
 
 
@@ -756,13 +757,22 @@ def pixels_on(
     return rows, columns
 
 
-def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
-    """Raise PixsimError if there are more than `MAX_PIXELS` pixels."""
-    if (pixels := math.prod(shape)) > MAX_PIXELS:
+def check_pixel_count(
+    shape: Iterable[float], pitch_um: float, name: str = "pixel.pitch_um"
+) -> None:
+    """Raise PixsimError if there are more than `MAX_PIXELS` pixels.
+
+    shape : of the pixels at this pitch, along one or two axes
+    name : of the pitch in the message
+    """
+    counts = list(shape)
+    if (pixels := math.prod(counts)) > MAX_PIXELS:
+        smallest_um = pitch_um * (pixels / MAX_PIXELS) ** (1 / len(counts))
         raise invalid(
-            "pixel.pitch_um",
+            name,
             f"{pitch_um:g}, which makes {amount(pixels)} pixels",
-            f"at most {amount(MAX_PIXELS)} pixels",
+            f"at least {(1 + _ROUNDED_UP) * smallest_um:.4g} on this die"
+            f" ({amount(MAX_PIXELS)} pixels), or a smaller die",
         )
 
 

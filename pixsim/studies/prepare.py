@@ -517,7 +517,9 @@ def fitted_range(study: Study, camera: Camera) -> Study:
     """
     pitch = study.pitch
     if pitch.values_um is not None:
-        _check_smallest(min(pitch.values_um), camera, "pitch.values_um")
+        smallest_um = min(pitch.values_um)
+        counts = [side_um / smallest_um for side_um in camera.die_um]
+        check_pixel_count(counts, smallest_um, "pitch.values_um")
         return study
 
     low_um, high_um = study.open_range_um
@@ -525,7 +527,8 @@ def fitted_range(study: Study, camera: Camera) -> Study:
     if pitch.min_um is None:
         low_um = _smallest_size_um(study, camera, low_um)
     else:
-        _check_smallest(pitch.min_um, camera, "pitch.min_um")
+        counts = [side_um / pitch.min_um for side_um in camera.die_um]
+        check_pixel_count(counts, pitch.min_um, "pitch.min_um")
 
     if study.own_um is None and low_um == pitch.min_um:
         return study
@@ -601,21 +604,6 @@ def _range_note(size: str, pitch_um: float, stated_um: float, reason: str) -> No
     """Return a note that a pixel size of a range is not as stated."""
     words = f"the {size} is {pitch_um:.4g} µm in place of {stated_um:.4g} µm: {reason}"
     return Note("left_out", words=words)
-
-
-def _check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
-    """Raise PixsimError if pixels of a size that was set are too many for the die."""
-    height_um, width_um = camera.die_um
-    count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
-    if count > MAX_PIXELS:
-        smallest_um = _up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
-        hint = "Or use a part of the die: --window."
-        raise invalid(
-            name,
-            f"{pitch_um:g}, which makes {amount(count)} pixels",
-            f"at least {smallest_um:g} on this die",
-            hint,
-        )
 
 
 def _up_to_pitch_digits(pitch_um: float) -> float:
@@ -1155,8 +1143,9 @@ def sensor_case(
     die_um = case.camera.die_um
     pitch_um = run.pixel.pitch_um
     background = check_metrics(run, [run.pixel], case.source, case.background, units)
-    check_pixel_count(pixels_on(die_um, pitch_um), pitch_um)
     imaging = Imaging.of(run, case.camera)
+    imaging.physics  # noqa: B018 – raises an error for a pitch that its technology does not allow
+    check_pixel_count(pixels_on(die_um, pitch_um), pitch_um)
     border_um = imaging.scored_border_um if border_um is None else border_um
     dot_edges_um(die_um, pitch_um, run.display, border_um)
 

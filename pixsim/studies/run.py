@@ -35,7 +35,7 @@ from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import BITS_OF_PICTURES
 from pixsim.sensor.readout import Frame
-from pixsim.studies.design import Case, metrics_of
+from pixsim.studies.design import Case, metrics_of, warn_of_reviews
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import FirstFrame, RenderedCase, evaluate_points
 from pixsim.studies.film_error import light_error_and_limit
@@ -398,6 +398,7 @@ def prepare(
     case = sensor_case(case, repeats=repeats, units=units, without_shortcuts=full, is_run=True)
     assert case.imaging is not None
     case = replace(case, sensor=case.imaging.technology.name)
+    warn_of_reviews([(case.sensor, case, None)])
     job = Job(
         cases=(case,),
         stated=settings,

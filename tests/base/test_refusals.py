@@ -82,6 +82,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Pixel(quantum_efficiency=[[400, 10**400], [700, 0.5]]),
         "quantum_efficiency: got",
     ),
+    "a gain that is no level": (lambda: pixsim.Exposure(gain=4), "gain_db is 20 log10 of a gain"),
     "a record of a file": (
         lambda: Pixel("sensor.toml"),
         r"Pixel: got 'sensor\.toml'; allowed: fields by name",
@@ -98,6 +99,9 @@ TEXTS = {
     "[pixel.stack]\nresolution = 3": "pixel.stack.resolution: unknown name; allowed: enabled,",
     "[camera]\nresolution = 640": "columns and rows are pixels in [camera]",
     "[camera]\npixels = 1936": "allowed: columns and rows, as [1936, 1216]",
+    "[camera]\npixels = [2448, 2048]\n[pixel]\npitch_um = 500": "Check pixel.pitch_um, which is in",
+    "[exposure]\nISO = 800": "18.06 for 800 over 100.",
+    "iso = 800": "It belongs in [exposure], as gain_db. gain_db is 20 log10 of ISO",
     "[camera]\npixels = [640, 480]": "needs the pitch of the sensor",
     "[pixel]\nquantum_efficiency = '65 %'": "a fraction: 65 % is 0.65.",
     "[pixel]\nprnu = 2": "In per cent? Write prnu = 0.02.",

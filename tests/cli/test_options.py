@@ -204,6 +204,11 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
             "study chen2000 --axis technology=0.35um,0.18um",
             'Several are stated by technologies = ["0.35um", "0.18um"]',
         ),
+        ("compare a.toml b.toml --exposure.gain 4", "gain_db is 20 log10 of a gain: 12.04 for 4."),
+        ("run csf --exposure.ISO 800", "Did you mean --exposure.gain-db? gain_db is 20 log10 of"),
+        ("run csf --exposure.hdr", "exposures of several lengths are not modelled."),
+        ("explore --dry-run", "Commands with this option: run, study, compare."),
+        ("run csf --quick", "Commands with this option: "),  # not --require
         ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),
         ("run csf --pixel.prnu 0.5", "In per cent? Write prnu = 0.005."),
         ("study pixel-size --pitch.values-um 2.4 3.45", "and a list as 2.4,3.45, without spaces."),

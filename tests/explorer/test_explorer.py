@@ -243,6 +243,7 @@ def test_controls_of_a_scene_follow_its_parameters(scene, path):
         ({"pixel.pitch_um": "/etc/passwd"}, "a number"),
         ({"pixel.pitch_um": True}, "a number"),
         ({"pixel.pitch_um": -1}, "pixel.pitch_um"),
+        ({"pixel.pitch_um": 0.01}, "above 5.135 µm"),
     ],
 )
 def test_page_names_no_files_and_no_impossible_values(values, word):
