@@ -26,18 +26,11 @@ from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, emva_illumination
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import MAX_BLACK_SHARE, PixelPhysics, derive
 from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import (
-    MAX_BLACK_SHARE,
-    Sensor,
-    dark_spread_e,
-    least_black_level_dn,
-    read_out,
-    sample_sensor,
-)
+from pixsim.sensor.reading import Readout, dark_spread_e, least_black_level_dn
+from pixsim.sensor.readout import Sensor, read_out, sample_sensor
 from pixsim.sensor.technology import load_technology
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
@@ -70,7 +63,8 @@ class Experiment:
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
-    stated_black_dn : black level in the user's settings; the level of the sensor's ADC is used
+    stated_black_dn : black level in the user's settings, or None if they state none; the level of
+        the sensor's ADC is used
     """
 
     sensor: Sensor = field(repr=False)
@@ -80,7 +74,7 @@ class Experiment:
     dim_photons: Array = field(repr=False)
     dark_times_s: Array = field(repr=False)
     temperatures_k: tuple[float, ...]
-    stated_black_dn: float
+    stated_black_dn: float | None
     stack_frames: int = STACK
     seed: int = 0
 
@@ -213,7 +207,8 @@ def with_black_level(readout: Readout, integration_s: float) -> Readout:
     """
     adc = readout.adc
     min_level_dn = least_black_level_dn(readout, integration_s)
-    if adc.black_level_dn >= min_level_dn:
+    is_stated = readout.physics.pixel.black_level_dn is not None
+    if is_stated and adc.black_level_dn >= min_level_dn:
         return readout
     if min_level_dn > MAX_BLACK_SHARE * adc.top_code_dn:
         room = (
@@ -334,7 +329,7 @@ def make_experiment(
     physics = _most_frequent_channel(derived)
     if exposure.gain_db == "auto":
         raise invalid("exposure.gain_db", "'auto'", "one gain in dB for all frames of the test")
-    stated = replace(Readout.of(physics), gain_db=exposure.gain_db)
+    stated = Readout.of(physics).amplified(exposure.gain_db)
     time_s = _usual_integration_s(stated, exposure)
     readout = with_black_level(stated, time_s)
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm

@@ -367,7 +367,7 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     pixel = experiment.pixel
     readout = experiment.readout
     texts = []
-    if pixel.black_level_dn != experiment.stated_black_dn:
+    if experiment.stated_black_dn not in (None, pixel.black_level_dn):
         texts.append(
             f"black level raised from {experiment.stated_black_dn:g} to"
             f" {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that the dark frames are not"

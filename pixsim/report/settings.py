@@ -133,7 +133,10 @@ def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
     )
 
 
-UNSTATED_NOISE = "Noise and non-uniformities that the data sheet does not state are zero."
+UNSTATED_NOISE = (
+    "Noise and non-uniformities that the data sheet does not state are zero. A black level that it"
+    " does not state is 6 σ of the dark noise."
+)
 
 
 def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:

@@ -10,17 +10,19 @@ import: base, light, optics.
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pixsim.sensor.reading import Readout as Readout
+    from pixsim.sensor.reading import (
+        Readout as Readout,
+        dark_spread_e as dark_spread_e,
+        least_black_level_dn as least_black_level_dn,
+    )
     from pixsim.sensor.readout import (
         Frame as Frame,
         Sensor as Sensor,
         capture as capture,
         capture_from_rates as capture_from_rates,
-        dark_spread_e as dark_spread_e,
         frame_mean_dn as frame_mean_dn,
         frame_variance_dn2 as frame_variance_dn2,
         integration_time_s as integration_time_s,
-        least_black_level_dn as least_black_level_dn,
         make_frame as make_frame,
         make_sensor as make_sensor,
         quantise as quantise,
@@ -54,9 +56,10 @@ def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     from pixsim.base.door import public
-    from pixsim.sensor import readout
+    from pixsim.sensor import reading, readout
 
-    return public(getattr(readout, name), f"pixsim.sensor.{name}")
+    module = reading if name in reading.__all__ else readout
+    return public(getattr(module, name), f"pixsim.sensor.{name}")
 
 
 def __dir__() -> list[str]:

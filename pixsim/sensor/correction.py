@@ -61,7 +61,7 @@ def correct(
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
     rows_rng, picture_rows_rng, dark_rng, dark_rows_rng, flat_rng, flat_rows_rng = rng.spawn(6)
-    readout = replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures)
+    readout = sensor.readout.amplified(frame.gain_db).burst(frame.exposures)
     sensor = replace(sensor, readout=readout)
     time_s = frame.integration_s
     dark_rows = _dark_rows(sensor, correction.column_clamp, rows_rng)

@@ -915,6 +915,8 @@ def growth_from_data_sheet(
     return growth
 
 
+BLACK_SIGMAS = 6.0  # of the dark noise, below the black level: fewer would bias dark statistics
+MAX_BLACK_SHARE = 0.5  # of the codes: a higher black level leaves too few for light
 _MAX_CURRENT_E_PER_S = 1e18  # as the record allows
 _WELL_ROUNDS = 3  # the second changes a full well by 1e-4, the third by 1e-6
 # Parts of the temporal dark noise that differ from pixel to pixel of a row.
@@ -1198,6 +1200,22 @@ def _offset_spreads_e(
     return pixel_share * full_well_e, column_share * full_well_e
 
 
+def follows_noise(pixel: Pixel) -> bool:
+    """Return whether the black level is that of the dark noise: of a data sheet that states
+    none.
+    """
+    return pixel.black_level_dn is None and pixel.technology == NO_TECHNOLOGY
+
+
+def usual_black_level_dn(margin_dn: float, top_code_dn: int) -> int:
+    """Return the black level of a data sheet that states none: a whole code above a margin for dark
+    noise, and one LSB, but at most half of the codes; 0 without noise.
+    """
+    if not margin_dn:
+        return 0
+    return min(math.ceil(margin_dn) + 1, math.floor(MAX_BLACK_SHARE * top_code_dn))
+
+
 def _measured_well_e(
     pixel: Pixel, technology: Technology, area_um2: float, dark_current_e_per_s: float | None
 ) -> float | None:
@@ -1212,9 +1230,6 @@ def _measured_well_e(
         return pixel.full_well_e
 
     gain_e_per_dn = pixel.stated_gain_e_per_dn
-    adc_range_e = (
-        pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
-    )
     process_dark_e_per_s = _process_dark_e_per_s(pixel, technology, area_um2)
     dark_e_per_s = _or_default(dark_current_e_per_s, process_dark_e_per_s)
     process_well = well(pixel, technology, area_um2, dark_e_per_s)
@@ -1234,6 +1249,13 @@ def _measured_well_e(
         reset_e = reset_noise_e(reset_ff, pixel.temperature_k, reset_factor)
         noise_e = math.hypot(reset_e, read_noise_e, *row_noises_e)
         offset_e = math.hypot(*_offset_spreads_e(pixel, technology, full_well_e, process_well))
+        adc_range_e = pixel.adc_full_scale_e
+        if gain_e_per_dn is not None:
+            level_dn = 0
+            if follows_noise(pixel):
+                margin_dn = BLACK_SIGMAS * math.hypot(noise_e, offset_e) / gain_e_per_dn
+                level_dn = usual_black_level_dn(margin_dn, 2**pixel.bits - 1)
+            adc_range_e = (pixel.codes_dn - level_dn) * gain_e_per_dn
         full_well_e = full_well_for_e(capacity_e, adc_range_e, noise_e, prnu, offset_e)
     return full_well_e
 

@@ -425,12 +425,14 @@ class PixelOptions(Record):
         Annotated[int, Field(ge=1, le=24)], Number(12, also=("bit_depth", "adc_bits"))
     ] = Field(10, description="bits of the ADC")
     black_level_dn: Annotated[
-        Annotated[float, Field(ge=0, lt=2**24)], Number(is_certain=True, also=("black_level",))
+        Annotated[float, Field(ge=0, lt=2**24)] | None,
+        Number(64.0, is_certain=True, also=("black_level",)),
     ] = Field(
-        0.0,
+        None,
         description=(
-            "offset added before the ADC; `pixsim datasheet` uses at least 6 standard deviations of"
-            " the dark signal"
+            "offset added before the ADC (absent: 0; for a data sheet without a technology, 6"
+            " standard deviations of the dark noise at gain_db, at most half of the codes)."
+            " `pixsim datasheet` uses at least 6 standard deviations of the dark signal"
         ),
     )
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
@@ -486,8 +488,8 @@ class PixelOptions(Record):
 
     @property
     def codes_dn(self) -> float:
-        """The codes above the black level."""
-        return 2**self.bits - 1 - self.black_level_dn
+        """The codes above the stated black level."""
+        return 2**self.bits - 1 - (self.black_level_dn or 0.0)
 
     @property
     def adc_range_per_well(self) -> float | None:

@@ -19,11 +19,17 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import DarkSpread
 from pixsim.sensor.noise import constant_e, variance_e2
-from pixsim.sensor.pixel import PixelPhysics, read_noises_e
+from pixsim.sensor.pixel import (
+    BLACK_SIGMAS,
+    PixelPhysics,
+    follows_noise,
+    read_noises_e,
+    usual_black_level_dn,
+)
 from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb
 
 # The public names; everything else is internal.
-__all__ = ["Adc", "Readout"]
+__all__ = ["Adc", "Readout", "dark_spread_e", "least_black_level_dn"]
 
 
 @dataclass(frozen=True)
@@ -69,17 +75,21 @@ class Adc:
 
 
 def _adc_of(physics: PixelPhysics, pixels: int) -> Adc:
-    """Return the ADC that reads the sum of some pixels; its range is the sum of their ranges."""
+    """Return the ADC that reads the sum of some pixels; its range is the sum of their ranges.
+
+    Its black level is that of the settings, or 0.
+    """
     pixel = physics.pixel
+    black_dn = pixel.black_level_dn or 0.0
     gain_e_per_dn = pixel.stated_gain_e_per_dn
     if gain_e_per_dn is not None:
         summed_e_per_dn = pixels * (physics.growth * gain_e_per_dn)
-        return Adc(pixel.bits, pixel.black_level_dn, gain_e_per_dn=summed_e_per_dn)
+        return Adc(pixel.bits, black_dn, gain_e_per_dn=summed_e_per_dn)
 
     span_e = physics.full_well_e
     if pixel.adc_full_scale_e is not None:
         span_e = physics.growth * pixel.adc_full_scale_e
-    return Adc(pixel.bits, pixel.black_level_dn, span_e=pixels * span_e)
+    return Adc(pixel.bits, black_dn, span_e=pixels * span_e)
 
 
 @checked_methods
@@ -155,16 +165,43 @@ class Readout:
         bin_side = physics.pixel.bin_side if bin_side is None else bin_side
         before_e, after_e = read_noises_e(physics.pixel, physics.technology)
         readout = cls(physics, _adc_of(physics, bin_side**2), before_e, after_e, bin_side=bin_side)
+        readout = readout._with_black_level()
         return readout if exposure is None else readout.at(exposure)
 
     def at(self, exposure: Exposure) -> Readout:
         """Return the reading in an exposure: at its gain, 0 dB of one that is not metered yet, in
         its subexposures. Raises PixsimError as `Readout` does.
         """
-        readout = self
-        if exposure.least_gain_db != self.gain_db:
-            readout = replace(self, gain_db=exposure.least_gain_db)
-        return readout.burst(exposure.frames)
+        return self.amplified(exposure.least_gain_db).burst(exposure.frames)
+
+    def amplified(self, gain_db: GainDb) -> Readout:
+        """Return the reading at another gain. The black level of a data sheet that states none
+        follows the noise in codes.
+        """
+        if gain_db == self.gain_db:
+            return self
+        return replace(self, gain_db=gain_db)._with_black_level()
+
+    def _with_black_level(self) -> Readout:
+        """Return the reading with the black level of a data sheet that states none: 6 σ of the dark
+        noise without dark charge, at this gain, at most half of the codes.
+
+        A source of noise that is switched off leaves the level as it is.
+        """
+        if not follows_noise(self.physics.pixel):
+            return self
+        margin_dn = _dark_margin_dn(self.with_silent(()), 0.0)
+        level_dn = usual_black_level_dn(margin_dn, self.adc.top_code_dn)
+        return replace(self, adc=replace(self.adc, black_level_dn=float(level_dn)))
+
+    @property
+    def following_black_e(self) -> float:
+        """Charge below the black level, of an exposure at this gain, if the level follows the gain
+        and takes its codes from light; else 0.
+        """
+        if not follows_noise(self.physics.pixel) or self.adc.gain_e_per_dn is None:
+            return 0.0
+        return self.adc.black_level_dn / self.dn_per_e
 
     def burst(self, exposures: Count) -> Readout:
         """Return the reading of frames that are the sum of subexposures. Raises PixsimError as
@@ -324,3 +361,36 @@ class Readout:
 
     def _dark_variance_e2(self, dark_e: float) -> float:
         return float(variance_e2(self, is_temporal=True, dark_e=dark_e)) + dark_e
+
+
+def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
+    """Return the standard deviation in e- of a dark signal over frames and over the pixels that are
+    not hot.
+
+    The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN
+    cuts off.
+    """
+    dark_e = readout.dark_current_e_per_s * integration_s * readout.dark_spread.ordinary_mean
+    temporal_e2 = variance_e2(readout, dark_e, is_temporal=True)
+    ordinary = readout.with_physics(hot_pixel_fraction=0.0)
+    return math.sqrt(variance_e2(ordinary, temporal_e2, dark_e=dark_e, is_temporal=False))
+
+
+def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
+    """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and
+    one LSB above 0 DN.
+
+    Without a stated gain a range F spans the codes M - b above the black level b, so that b =
+    6σ(M - b)/F, solved for b. For a burst it is the black level of each subexposure.
+    """
+    return math.ceil(_dark_margin_dn(readout, integration_s)) + 1
+
+
+def _dark_margin_dn(readout: Readout, integration_s: float) -> float:
+    """Return `BLACK_SIGMAS` of the dark signal of an exposure, in codes."""
+    exposure_readout = readout.burst(1)
+    margin_e = BLACK_SIGMAS * dark_spread_e(exposure_readout, integration_s / readout.exposures)
+    if exposure_readout.adc.gain_e_per_dn is not None:
+        return margin_e * exposure_readout.amplification / exposure_readout.adc.gain_e_per_dn
+    span_e = exposure_readout.adc_range_e + margin_e
+    return margin_e * exposure_readout.adc.top_code_dn / span_e

@@ -61,15 +61,12 @@ from pixsim.sensor.technology import load_technology
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal
 # lacks only the skewness 1/√mean, 3e-5 and less.
 _POISSON_LIMIT_E = 1e9
-# Of the dark signal, below the black level: clipping at 0 DN would bias dark statistics.
-BLACK_SIGMAS = 6.0
 # A level that is farther from both ends of the codes is clipped in 1e-12 of normal signals; few
 # Poisson counts need some electrons more.
 _CLIP_SIGMAS = 7.0
 POISSON_MARGIN_E = 10.0
 _MIN_DITHER_DN = 0.6  # noise from which rounding is a noise, too
 BLOCK_PIXELS = 1 << 23  # of larger frames, drawn with a generator of their own
-MAX_BLACK_SHARE = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 # --- exposure
@@ -106,6 +103,7 @@ def with_metered_gain(
     time alone does not; an exposure of a stated gain as it is.
 
     The gain is that by which the range of the ADC at 0 dB, times `well_target`, exceeds the charge.
+    A black level that follows the gain takes its part of the codes.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
@@ -115,6 +113,9 @@ def with_metered_gain(
     charge_e = (brightest_e_per_s + readout.dark_current_e_per_s) * time_s
     at_0_db = readout.at(exposure)
     target_e = exposure.well_target * at_0_db.exposures * at_0_db.adc_range_e
+    black_e = exposure.well_target * at_0_db.exposures * at_0_db.following_black_e
+    target_e += black_e
+    charge_e += black_e
     gain_db = exposure.max_gain_db
     if charge_e * 10 ** (gain_db / 20) > target_e:
         gain_db = max(0.0, 20 * math.log10(target_e / charge_e))
@@ -716,36 +717,6 @@ def frame_variance_dn2(
         return np.asarray(temporal_e2 * readout.dn_per_e**2 + readout.rounding_variance_dn2)
     total_e2 = variance_e2(readout, temporal_e2, light_e=signal_e, dark_e=dark_e, is_temporal=False)
     return np.asarray(total_e2 * readout.dn_per_e**2 + readout.rounding_variance_dn2)
-
-
-def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
-    """Return the standard deviation in e- of a dark signal over frames and over the pixels that are
-    not hot.
-
-    The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN
-    cuts off.
-    """
-    dark_e = readout.dark_current_e_per_s * integration_s * readout.dark_spread.ordinary_mean
-    temporal_e2 = variance_e2(readout, dark_e, is_temporal=True)
-    ordinary = readout.with_physics(hot_pixel_fraction=0.0)
-    return math.sqrt(variance_e2(ordinary, temporal_e2, dark_e=dark_e, is_temporal=False))
-
-
-def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
-    """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and
-    one LSB above 0 DN.
-
-    Without a stated gain a range F spans the codes M - b above the black level b, so that b =
-    6σ(M - b)/F, solved for b. For a burst it is the black level of each subexposure.
-    """
-    exposure_readout = readout.burst(1)
-    margin_e = BLACK_SIGMAS * dark_spread_e(exposure_readout, integration_s / readout.exposures)
-    if exposure_readout.adc.gain_e_per_dn is not None:
-        margin_dn = margin_e * exposure_readout.amplification / exposure_readout.adc.gain_e_per_dn
-    else:
-        span_e = exposure_readout.adc_range_e + margin_e
-        margin_dn = margin_e * exposure_readout.adc.top_code_dn / span_e
-    return math.ceil(margin_dn) + 1
 
 
 def capture_from_rates(

@@ -13,8 +13,8 @@ from pixsim.base.digits import rounded
 from pixsim.base.notes import Note
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.noise import variance_e2
-from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import MAX_BLACK_SHARE, dark_spread_e, least_black_level_dn
+from pixsim.sensor.pixel import MAX_BLACK_SHARE
+from pixsim.sensor.reading import Readout, dark_spread_e, least_black_level_dn
 from pixsim.viewer.scielab import xyz_to_lab
 
 _DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
@@ -44,6 +44,7 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
     too_bright_e : increase of the mean of a dark frame
     of_display_white, lightness : that increase as luminance over display white (at most 1) and as
         CIE L*, before the display clips and rounds; L* is the ΔE of a uniform black area
+    black_level_dn : of the ADC
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
     gain_db : of the exposure, without which the black level would have room
 
@@ -79,6 +80,7 @@ def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[st
         "too_bright_e": too_bright_e,
         "of_display_white": white_fraction,
         "lightness": float(xyz_to_lab([white_fraction] * 3, np.ones(3))[0]),
+        "black_level_dn": readout.adc.black_level_dn,
         "least_black_level_dn": least_black_level_dn(readout, integration_s),
         "gain_db": readout.gain_db,
     }
@@ -153,7 +155,6 @@ def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") ->
     pixel : its settings
     where : further words after the black level
     """
-    black = pixel["black_level_dn"]
     needed = dark["least_black_level_dn"]
     fits = needed <= MAX_BLACK_SHARE * (2 ** pixel["bits"] - 1)
     remedy = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
@@ -165,7 +166,7 @@ def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") ->
     lightness = rounded(dark["lightness"])
     share = 100 * dark["at_zero_fraction"]
     values = {
-        "black_level_dn": black,
+        "black_level_dn": dark["black_level_dn"],
         "where": where,
         "percent": share,
         "excess_e": excess_e,

@@ -44,14 +44,8 @@ from pixsim.measure.experiment import (
 )
 from pixsim.report.datasheet import FILES, datasheet_notes, spectrogram
 from pixsim.sensor.noise import signal_at_snr_e
-from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import (
-    dark_spread_e,
-    frame_mean_dn,
-    frame_variance_dn2,
-    read_out,
-    sample_sensor,
-)
+from pixsim.sensor.reading import Readout, dark_spread_e
+from pixsim.sensor.readout import frame_mean_dn, frame_variance_dn2, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
 SMALL: dict[str, Any] = {"shape": (60, 60), "stack_frames": 8}

@@ -65,13 +65,11 @@ from pixsim.sensor.pixel import (
     smallest_pitch_um,
 )
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Adc, Readout
+from pixsim.sensor.reading import Adc, Readout, dark_spread_e, least_black_level_dn
 from pixsim.sensor.readout import (
-    dark_spread_e,
     frame_mean_dn,
     frame_variance_dn2,
     integration_time_s,
-    least_black_level_dn,
     quantise,
     with_shared_time,
 )
@@ -1010,6 +1008,15 @@ QUIET_SHEET = {
     "row_noise_e": 0.0,
     "read_noise_after_gain_e": 0.0,
 }
+
+
+def unstated(gain_db: float = 0.0, silent: tuple[str, ...] = (), **over: Any) -> float:
+    """Black level of a data sheet, which states none, with 20 e- of noise and 15 e- of offsets."""
+    offsets = {"offset_fpn": None, "column_fpn": None, "dsnu_e": 15.0}
+    sheet = QUIET_SHEET | offsets | {"black_level_dn": None} | over
+    return readout(**sheet).with_silent(silent).at(Exposure(gain_db=gain_db)).adc.black_level_dn
+
+
 HOT_E2 = DARK_E**2 * (ORDINARY**2 * (0.97 * 1.09 + 0.03 * 25 * math.exp(0.32)) - 1)
 EMVA = readout(
     read_noise_e=None,
@@ -1263,6 +1270,20 @@ READING = [
             ("2 e-/DN", {"gain_e_per_dn": 2.0}, 20.0, math.ceil(2245 / 2) + 1),
             ("of the well", {}, 0.0, math.ceil(224.4994 * 16383 / 20_224.4994) + 1),
             ("of the well", {}, 20.0, math.ceil(224.4994 * 16383 / 2224.4994) + 1),
+        )
+    ),
+    *(
+        Claim(f"black level of a data sheet that states none, {name}", level_dn, expected)
+        # 6 √(20² + 15²) is 150 e-: over 2 e-/DN and a code, of the range and this, half of 15.
+        for name, level_dn, expected in (
+            ("2 e-/DN", lambda: unstated(gain_e_per_dn=2.0), 76),
+            ("2 e-/DN at 20 dB", lambda: unstated(20.0, gain_e_per_dn=2.0), 751),
+            ("of the well", unstated, math.ceil(150 * 16383 / 20_150) + 1),
+            ("4 bits", lambda: unstated(bits=4, gain_e_per_dn=2.0), 7),
+            ("that is silent", lambda: unstated(20.0, ("read noise",), gain_e_per_dn=2.0), 751),
+            ("without noise", lambda: unstated(read_noise_e=0.0, dsnu_e=0.0), 0),
+            ("stated as 0", lambda: unstated(black_level_dn=0.0), 0),
+            ("0.35 µm in its place", lambda: Readout.of(pixel_035()).adc.black_level_dn, 0),
         )
     ),
 ]

@@ -155,7 +155,7 @@ def physics(**over: Any) -> PixelPhysics:
             "an ADC stated by its range solves the same well as one by its gain",
             physics(saturation_capacity_e=9000, adc_full_scale_e=4095 * 2.5),
             "full_well_e",
-            physics(saturation_capacity_e=9000, gain_e_per_dn=2.5).full_well_e,
+            physics(saturation_capacity_e=9000, gain_e_per_dn=2.5, black_level_dn=0).full_well_e,
         ),
         # [x, y] = 0.5 + 0.25, 0.5 + 0.75 - 1.
         (

@@ -31,7 +31,7 @@ from pixsim.sensor.mismatch import DarkSpread
 from pixsim.sensor.noise import SOURCES, Along, NoiseSource
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NUMBERS, Pixel
-from pixsim.sensor.reading import Readout
+from pixsim.sensor.reading import Readout, dark_spread_e
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.viewer.dark_clip import dark_clip
 
@@ -393,7 +393,7 @@ CLOSED_FORMS: dict[str, Callable[[Readout], float]] = {
     "variance": lambda readout: (
         float(sensors.frame_variance_dn2(0.0, 0.01, readout)) / readout.dn_per_e**2
     ),
-    "spread in the dark": lambda readout: sensors.dark_spread_e(readout, 0.01) ** 2,
+    "spread in the dark": lambda readout: dark_spread_e(readout, 0.01) ** 2,
     "clip in the dark": lambda readout: dark_clip(readout, 0.01, 1e4)["spread_e"] ** 2,
     "residual of no correction": lambda readout: float(
         residual_variance_e2(0.0, 0.01, readout, Correction()).total
@@ -592,6 +592,12 @@ PIXEL = pixsim.Pixel(
     technology="4t-bsi", pitch_um=3.0, bits=12, black_level_dn=64.0, read_noise_after_gain_e=4.0
 )
 READOUT = Readout.of(pixsim.derive(PIXEL))
+SHEET = {"full_well_e": 2e4, "read_noise_e": 3.0, "dark_current_e_per_s": 1.0}
+FOLLOWING = Readout.of(
+    pixsim.derive(
+        pixsim.Pixel(pitch_um=3.0, bits=12, gain_e_per_dn=4.0, quantum_efficiency=0.6, **SHEET)
+    )
+)
 
 
 def frame_at(exposure: pixsim.Exposure, rate_e_per_s: float) -> Any:
@@ -601,20 +607,21 @@ def frame_at(exposure: pixsim.Exposure, rate_e_per_s: float) -> Any:
 
 @pytest.mark.parametrize("frames", [1, 4])
 @pytest.mark.parametrize("well_target", [0.5, 0.95])
-def test_brightest_pixel_reaches_the_target_of_the_range(frames: int, well_target: float) -> None:
-    """At a gain of g the range of the ADC is its range at 0 dB over 10^(g/20)."""
+@pytest.mark.parametrize(("readout", "codes"), [(READOUT, 0), (FOLLOWING, 2)])
+def test_brightest_pixel_reaches_the_target_of_the_range(
+    readout: Readout, codes: int, frames: int, well_target: float
+) -> None:
+    """At a gain of g the range of the ADC is its range at 0 dB over 10^(g/20); a black level that
+    follows the gain is whole codes, of which up to two, at 0 dB, are more than the noise takes.
+    """
     exposure = pixsim.Exposure(
         gain_db="auto", max_gain_db=60.0, frames=frames, well_target=well_target
     )
-    metered = sensors.with_metered_gain(exposure, READOUT, 1e4)
-    charge_e = (1e4 + READOUT.dark_current_e_per_s) * exposure.max_integration_s
-    check(
-        "charge over the saturation at the metered gain",
-        charge_e / READOUT.at(metered).saturation_e,
-        well_target,
-        rtol=1e-12,
-        why="rounding",
-    )
+    metered = sensors.with_metered_gain(exposure, readout, 1e4)
+    charge_e = (1e4 + readout.dark_current_e_per_s) * exposure.max_integration_s
+    share = charge_e / readout.at(metered).saturation_e / well_target
+    lacking = codes * 10 ** (metered.gain_db / 20) / readout.adc.top_code_dn
+    assert 1 - lacking - 1e-12 <= share <= 1 + 1e-12
 
 
 @pytest.mark.parametrize(("rate_e_per_s", "gain_db"), [(1e6, 0.0), (0.1, 24.0)])

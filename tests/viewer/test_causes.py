@@ -220,7 +220,9 @@ CLAIMS = [
     *(
         Claim(
             f"{count} codes to white: the lightness of one",
-            lambda fields=fields, white_e=white_e: delta_e_of(readout_of(**fields), white_e),
+            lambda fields=fields, white_e=white_e: delta_e_of(
+                readout_of(**{"black_level_dn": 0} | fields), white_e
+            ),
             [lightness(1 / count)] * (count < 8),
             rtol=1e-6,
         )

@@ -52,6 +52,7 @@ DARK = Readout.of(
             dark_current_e_per_s=0,
             quantum_efficiency=0.62,
             bits=16,
+            black_level_dn=0,
         )
     )
 )

@@ -573,6 +573,7 @@ SHEET: dict[str, Any] = {
     "quantum_efficiency": 0.62,
     "bits": 12,
     "dsnu": 0.2,
+    "black_level_dn": 0,
 }
 
 
