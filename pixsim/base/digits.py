@@ -76,6 +76,15 @@ def amount(count: float, digits: int = 3) -> str:
     return rounded(count, digits) if count < 1e6 else f"{rounded(count / 1e6, digits)} million"
 
 
+def counted(number: float | str, noun: str) -> str:
+    """Return a number with its noun, in the plural but for 1.
+
+    >>> counted(1, "render"), counted("0.81", "pixel"), counted("1", "pixel")
+    ('1 render', '0.81 pixels', '1 pixel')
+    """
+    return f"{number} {noun}{'s' * (str(number) != '1')}"
+
+
 def percent(share: float, decimals: int = 0) -> str:
     """Return a share in per cent.
 

@@ -109,6 +109,7 @@ _STATISTICS_WORDS = {
     "full_well_e": "full well (electrons)",
     "integration_s": "exposure time (s)",
     "saturated_fraction": "fraction of saturated pixels: at full well, or at the ADC's top code",
+    "share_of_full_well": "mean charge of the brightest pixel over the full well",
     "mean_electrons_e": "mean photo-electrons per pixel",
     "mean_delta_e": "mean ΔE",
     "median_delta_e": "median ΔE",

@@ -17,11 +17,11 @@ from pixsim.report.wording import (
     view_words,
 )
 from pixsim.show.document import Block, Fact
-from pixsim.studies.curve import Curve
+from pixsim.studies.curve import FILL_COLUMNS, Curve
 from pixsim.studies.merit import columns_on, varied_view_settings
 from pixsim.studies.optimum import fittable_pitches
 from pixsim.studies.regret import metric_regrets
-from pixsim.studies.result import StudyResult
+from pixsim.studies.result import StudyResult, fill_notes
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.raw_metrics import INFORMATION
 from pixsim.viewer.setting import stage_words
@@ -128,7 +128,12 @@ def study_notes(result: StudyResult) -> list[Note]:
     """
     kinds = target_notes, _open_notes, _undefined_notes, _study_dark_notes
     curve_notes = [note for notes in kinds for note in first_notes([*map(notes, result.cases)])]
-    return [*cause_notes(result), *sorted(result.warned), *curve_notes]
+    exposed = [
+        (part.study.exposure, {name: curve.mean(name) for name in FILL_COLUMNS})
+        for part in result.cases
+        for curve in part.curves
+    ]
+    return [*cause_notes(result), *sorted(result.warned), *fill_notes(exposed), *curve_notes]
 
 
 def target_notes(result: StudyResult) -> list[Note]:

@@ -21,6 +21,7 @@ from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import BASE, Case
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import MIN_PAIRS, Pairs, mean_interval
+from pixsim.studies.result import fill_notes
 from pixsim.studies.sensors import ComparisonJob, SensorGroup, pixels_of
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.develop_options import developed_words
@@ -239,7 +240,10 @@ def notes(result: Comparison) -> list[Note]:
         for note in notes_of_group
         if note not in shared
     ]
-    return list(dict.fromkeys([*result.warned, *shared, *further]))
+    exposed = [
+        (sensor.case.settings.exposure, sensor.score.statistics()) for sensor in result.compared
+    ]
+    return list(dict.fromkeys([*result.warned, *fill_notes(exposed), *shared, *further]))
 
 
 def _sensor_notes(sensor: ComparedSensor) -> list[Note]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.base.caller import setting
-from pixsim.base.digits import f_stop, interval, pixel_size, within_error
+from pixsim.base.digits import counted, f_stop, interval, pixel_size, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.light.quantities import ILLUMINANCE, INCIDENCE, IRRADIANCE, LAMP
 from pixsim.light.spectral import PART
@@ -175,7 +175,9 @@ def view_words(
     words = []
     if display.raster == "fixed_size":
         chosen_dots = " (from the sensor's pixels)" if "dots" in chosen else ""
-        ratio = "" if columns is None else f", {columns / display.dots:.2g} pixels per dot"
+        ratio = ""
+        if columns is not None:
+            ratio = f", {counted(f'{columns / display.dots:.2g}', 'pixel')} per dot"
         words.append(f"shown on {display.dots} dots{chosen_dots}{ratio}")
     if (end := stated_end_lp_per_mm(header)) is not None:
         limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""

@@ -94,6 +94,7 @@ class _TooFewSizesError(PixsimError):
     """Fewer pixel sizes of a case are possible than a curve needs."""
 
 
+FILL_COLUMNS = ("share_of_full_well", "integration_s")  # of each frame, for `fill_notes`
 WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
 _SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
@@ -428,7 +429,7 @@ def curve_of(
     # A row of the table is an element (pitch, sensor) of each statistic.
     repeat = possible.columns["repeat"]
     statistics = {}
-    for name in ("integration_s", *columns_of_metrics(metrics)):
+    for name in (*FILL_COLUMNS, *columns_of_metrics(metrics)):
         values = np.full((pitch_um.size, 1 + repeat.max()), np.nan)
         values[place, repeat] = possible.columns[name]
         statistics[name] = values

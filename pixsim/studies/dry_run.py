@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.digits import duration
+from pixsim.base.digits import counted, duration
 from pixsim.base.machine import processors
 from pixsim.base.mapped import MAX_MEMORY_BYTES
 from pixsim.optics.camera import Camera
@@ -60,19 +60,14 @@ class Cost:
     def __str__(self) -> str:
         processes = f" on {self.jobs} processes" if self.jobs > 1 else ""
         work = (
-            f"{_counted(self.renders, 'render')},"
-            f" {_counted(self.evaluations, 'evaluation')}{processes}"
+            f"{counted(self.renders, 'render')},"
+            f" {counted(self.evaluations, 'evaluation')}{processes}"
         )
         time = duration(float(f"{self.seconds:.1g}"))
         return (
             f"{work}; about {time}, within a factor of 3; {self.memory_bytes / 1e9:.2g} GB of"
             " memory"
         )
-
-
-def _counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural but for 1."""
-    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:

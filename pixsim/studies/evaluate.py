@@ -21,12 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache
+from pixsim.base.digits import counted
 from pixsim.base.hashes import content_hash
 from pixsim.base.progress import Progress
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, make_frame, with_shared_time
 from pixsim.studies.design import (
     COMPUTED_BY,
@@ -56,6 +58,7 @@ from pixsim.viewer.scene_light import (
     SharedLight,
     registered_in,
 )
+from pixsim.viewer.score import frame_statistics
 from pixsim.viewer.screen import IdealFacts, check_one_ideal, display_image, ideal_light_of_dots
 
 Value = TypeVar("Value")
@@ -459,7 +462,7 @@ def evaluate_task(
     names = *PIXEL_STATISTICS, *columns_of_metrics(request.chosen)
     frames = frames_of(task, light, repeats, light_optional=not request.needs_light)
     try:
-        for repeat, chain, frame, mean_e in frames:
+        for repeat, chain, frame, cached_statistics in frames:
             # Each sensor of a run is a first repeat, with its own random stream.
             stream_key: tuple[Any, ...] = (repeat, task.stream)
             if task.imaging.is_run:
@@ -471,9 +474,7 @@ def evaluate_task(
                     screen_chain = chain.on(light.screens[display])
                 frame_under_test = FrameUnderTest.of(screen_chain, frame, *stream_key)
                 undefined: dict[str, str] = {}
-                statistics = frame_under_test.statistics(undefined)
-                if mean_e is not None:
-                    statistics = statistics | {_MEAN: mean_e}
+                statistics = frame_under_test.statistics(undefined) | cached_statistics
                 if first_frame is not None and not first_frame:
                     first_frame.append(FirstFrame(screen_chain, frame_under_test))
 
@@ -484,7 +485,7 @@ def evaluate_task(
                     display=display,
                     values=tuple(float(statistics[name]) for name in names),
                     undefined=undefined,
-                    from_cache=mean_e is not None,
+                    from_cache=bool(cached_statistics),
                 )
                 evaluated.append(point)
     except AlikeChannelsError as error:
@@ -509,7 +510,7 @@ def _cached_frames(frames_key: str) -> cache.Arrays:
 # Arrays of a frame in the cache.
 _DN = "dn"
 _SATURATED = "saturated_fraction"
-_MEAN = "mean_electrons_e"
+_LIGHT_STATISTICS = ("share_of_full_well", "mean_electrons_e")  # of `frame_statistics`
 _TIME = "integration_s"
 _GAIN = "gain_db"
 _CORRECTED = "corrected_e"
@@ -520,8 +521,8 @@ def _array_name(repeat: int, part: str) -> str:
     """Return the name of an array of a frame in the cache.
 
     Beside the codes and the corrected electrons, the cache has what does not follow from them: the
-    saturated fraction, the saturated pixels of a burst, the time, the gain and the mean of the
-    electrons.
+    saturated fraction, the saturated pixels of a burst, the time, the gain, and the statistics of
+    the electrons.
     """
     return f"{repeat}_{part}"
 
@@ -537,7 +538,7 @@ def _cached_frame(
         pictures.append(_CORRECTED)
     if imaging.exposure.frames > 1:
         pictures.append(_SATURATED_PIXELS)
-    parts = (*pictures, _SATURATED, _MEAN, _TIME, _GAIN)
+    parts = (*pictures, _SATURATED, *_LIGHT_STATISTICS, _TIME, _GAIN)
     arrays: cache.Arrays = {}
     for part in parts:
         array = frames.get(_array_name(repeat, part))
@@ -587,15 +588,16 @@ def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
     return replace(frame, corrected_e=cached.get(_CORRECTED))
 
 
-def _arrays_for_cache(frame: Frame) -> cache.Arrays:
+def _arrays_for_cache(frame: Frame, readout: Readout) -> cache.Arrays:
     """Return the arrays of a frame for the cache, by `_DN` and so on."""
+    statistics = frame_statistics(readout, frame)
     arrays: cache.Arrays = {
         _DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)),
         _SATURATED: np.array(frame.saturated_fraction),
-        _MEAN: np.array(frame.mean_e.mean()),
         _TIME: np.array(frame.integration_s),
         _GAIN: np.array(frame.gain_db),
     }
+    arrays |= {name: np.array(statistics[name]) for name in _LIGHT_STATISTICS}
     if frame.corrected_e is not None:
         arrays[_CORRECTED] = frame.corrected_e
     if frame.exposures > 1 and frame.saturated is not None:
@@ -605,9 +607,9 @@ def _arrays_for_cache(frame: Frame) -> cache.Arrays:
 
 def frames_of(
     task: Task, light: SharedLight, repeats: Iterable[int], *, light_optional: bool
-) -> Iterator[tuple[int, ImagingChain, Frame, float | None]]:
-    """Yield repeats with their imaging chain, their frame, and the mean of its electrons if the
-    cache has the frame.
+) -> Iterator[tuple[int, ImagingChain, Frame, dict[str, float]]]:
+    """Yield repeats with their imaging chain, their frame, and the `_LIGHT_STATISTICS` of a frame
+    that the cache has; no statistics for a new one.
 
     New frames are stored there, after the last one.
 
@@ -626,15 +628,16 @@ def frames_of(
         rows, columns = chain.signal_e_per_s.shape[:2]
         cached = _cached_frame(cached_frames, repeat, (rows, columns), task.imaging)
         if cached is not None:
-            yield repeat, chain, _frame_from_cache(cached, chain), float(cached[_MEAN])
+            statistics = {name: float(cached[name]) for name in _LIGHT_STATISTICS}
+            yield repeat, chain, _frame_from_cache(cached, chain), statistics
             continue
 
         sensor_of = partial(_cached_sensor, chain) if task.shares_sensors else None
         frame = chain.capture(*task.imaging.stream_of(task.stream, repeat), sensor_of=sensor_of)
         if task.frames_key:
-            for part, array in _arrays_for_cache(frame).items():
+            for part, array in _arrays_for_cache(frame, chain.readout).items():
                 frames[_array_name(repeat, part)] = array
-        yield repeat, chain, frame, None
+        yield repeat, chain, frame, {}
 
     if len(frames) > len(cached_frames):
         cache.store_arrays("frames", task.frames_key, frames)
@@ -694,14 +697,16 @@ class Counts:
     def __str__(self) -> str:
         frames = self.evaluations_made - self.frames_reused
         made = (
-            f"{self.renders} renders, {self.prepared_scenes} lights behind the lens, {frames}"
-            " frames"
+            f"{counted(self.renders, 'render')},"
+            f" {counted(self.prepared_scenes, 'light')} behind the lens,"
+            f" {counted(frames, 'frame')}"
         )
         reused = (
-            f"{self.evaluations_reused} evaluations from earlier runs, {self.frames_reused} frames"
-            " reused"
+            f"{counted(self.evaluations_reused, 'evaluation')} from earlier runs,"
+            f" {counted(self.frames_reused, 'frame')} reused"
         )
-        return f"{self.cases} cases, {self.evaluations_made} evaluations made: {made}; {reused}"
+        done = f"{counted(self.cases, 'case')}, {counted(self.evaluations_made, 'evaluation')}"
+        return f"{done} made: {made}; {reused}"
 
 
 # Tables of cases that are evaluated together -> sizes and sensors of each, with the further ones

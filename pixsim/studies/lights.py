@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.caller import setting
+from pixsim.base.digits import counted
 from pixsim.base.errors import invalid
 from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, suppressed_warnings, warn
@@ -335,7 +336,7 @@ def render_on_film(
         cells_in_time = plan.cells_in_time if max_seconds is None else math.inf
         max_across = largest_film(ratio, plan.light.planes, cells_in_time)
         wider = fitting_width(ratio, 2 * width, max_across)
-        pictures = f"{plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
+        pictures = counted(plan.light.planes, "picture")
         sample_limit = f"the limit of {max_across} samples across for {pictures}"
         predicted = film.predicted_on(max_across, coarser_film)
 

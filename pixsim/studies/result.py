@@ -4,7 +4,7 @@ sensors behind them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,19 +13,21 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count
-from pixsim.base.digits import interval
+from pixsim.base.caller import setting
+from pixsim.base.digits import exposure_time, interval, rounded
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import min_fresnel_number
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.labels import labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology
-from pixsim.studies.curve import Curve
+from pixsim.studies.curve import FILL_COLUMNS, Curve
 from pixsim.studies.design import (
     BASE,
     REPEATS_PER_TASK,
@@ -387,3 +389,37 @@ def causes_of_frames(
         lightness=lightness,
         saturated_fraction=float(np.mean(table.columns["saturated_fraction"])),
     )
+
+
+_ALIKE_SHARE = 0.01  # of the full well: what is less does not tell sensors apart
+_EQUAL_TIMES = 1.05  # ratio of times: registrations alone change the brightest pixel by less
+
+
+def fill_notes(cases: Iterable[tuple[Exposure, Mapping[str, Any]]]) -> list[Note]:
+    """Return a note if automatic exposure fills the pixels of all cases alike, in different times;
+    none for others.
+
+    cases : exposure of each case, and its `FILL_COLUMNS`: (N,) each, or numbers of one frame
+    """
+    columns: list[list[Array]] = []
+    for exposure, numbers in cases:
+        if exposure.integration_s is not None:
+            return []
+        columns.append([np.atleast_1d(numbers[name]) for name in FILL_COLUMNS])
+    if not columns:
+        return []
+
+    shares, times_s = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    shortest_s = float(times_s.min())
+    longest_s = float(times_s.max())
+    if np.ptp(shares) > _ALIKE_SHARE or longest_s <= _EQUAL_TIMES * shortest_s:
+        return []
+    return [
+        Note(
+            "filled_alike",
+            percent=100 * float(shares.max()),
+            shortest=exposure_time(shortest_s),
+            longest=exposure_time(longest_s),
+            setting=setting("exposure.integration_s", float(rounded(shortest_s, 3))),
+        )
+    ]

@@ -50,7 +50,7 @@ from pixsim.studies.prepare import (
     uncertainty_request,
     with_given_light,
 )
-from pixsim.studies.result import causes_of_frames
+from pixsim.studies.result import causes_of_frames, fill_notes
 from pixsim.studies.sensors import case_overrides
 from pixsim.studies.settings import (
     IGNORED_ELSEWHERE,
@@ -435,10 +435,11 @@ def _with_types(cases: Sequence[Case[Run]], type_request: UncertaintyRequest) ->
 
 
 def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: SpectralImage) -> None:
-    """Warn of metrics without a number, of frames without information, and of light that the
-    display clips.
+    """Warn of metrics without a number, of frames without information, of automatic exposure that
+    fills all alike, and of light that the display clips.
     """
     facts_by_light: dict[object, IdealFacts] = {}
+    exposed: list[tuple[Exposure, Mapping[str, Any]]] = []
     for sensor, rows in zip(cases, table.by_case(), strict=True):
         label = ", ".join(filter(None, (f"pixel {sensor.case.labels[PIXEL]}", sensor.case.words)))
         for reason in dict.fromkeys(rows.reasons.values()):
@@ -446,6 +447,7 @@ def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: Spectral
         if not len(rows.possible):
             continue
 
+        exposed.append((sensor.imaging.exposure, rows.possible.columns))
         if sensor.light_id not in facts_by_light:
             facts = sensor.scenes.ideal_facts(sensor.light_key, sensor.imaging)
             facts_by_light[sensor.light_id] = facts
@@ -453,5 +455,7 @@ def _warn_of_frames(cases: Sequence[RenderedCase], table: Table, light: Spectral
         for cause in causes_of_frames(light, sensor.imaging, lightness, rows.possible):
             if cause.is_uninformative:
                 warn(cause.note.of([label]))
+    for note in fill_notes(exposed):
+        warn(note)
     brightest = max((facts.beyond_white for facts in facts_by_light.values()), default=0.0)
     warn_of_clipping(brightest, light.header, cases[0].imaging.display)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import counted
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, unlist_file, version_of_files
 from pixsim.base.notes import Note, warn
@@ -300,8 +301,7 @@ class Store:
             )
         if self.damaged:
             which = (
-                f"{self.damaged} row{'s' * (self.damaged > 1)} of '{path}' changed after pixsim"
-                " wrote the file"
+                f"{counted(self.damaged, 'row')} of '{path}' changed after pixsim wrote the file"
             )
             warn(
                 Note(

@@ -22,6 +22,7 @@ PIXEL_STATISTICS = (
     "full_well_e",
     "integration_s",
     "saturated_fraction",
+    "share_of_full_well",
     "mean_electrons_e",
 )
 ROW_COLUMNS = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)

@@ -2,6 +2,7 @@
 sensors, whose frames are those of `pixsim.evaluate`.
 """
 
+import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -162,6 +163,25 @@ def test_pixels_of_several_sizes_are_scored_on_the_same_dots() -> None:
     assert [score.image.shape for score in expected] == [(46, 46), (40, 40)]
     assert large["mean_delta_e"] == expected[1].mean_delta_e
     assert small["mean_image"] == pytest.approx(expected[0].image[3:-3, 3:-3].mean(), rel=1e-12)
+
+
+def test_automatic_exposure_that_fills_all_alike_is_noted() -> None:
+    """Dark charge of 1 % of the well counts as light does. In the time of the brighter pixel the
+    other one has a third of its light.
+    """
+    sheet = {"full_well_e": 1e4, "read_noise_e": 3.0, "dark_current_e_per_s": 0.0, "prnu": 0.0}
+    pixels = [Pixel(pitch_um=20.0, quantum_efficiency=part, **sheet) for part in (0.3, 0.9)]
+    with pytest.warns(UserWarning, match="brightest pixel to 95 % of the full well.*For equal"):
+        filled = sweep_light(pixels)
+    assert [row["share_of_full_well"] for row in filled] == pytest.approx([0.95] * 2, rel=1e-12)
+
+    time_s = filled[1]["integration_s"]
+    dark = [pixel.model_copy(update={"dark_current_e_per_s": 100 / time_s}) for pixel in pixels]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "automatic exposure fills")
+        exposed = sweep_light(dark, exposure=Exposure(integration_s=time_s))
+    expected = [0.95 / 3 + 0.01, 0.95 + 0.01]
+    assert [row["share_of_full_well"] for row in exposed] == pytest.approx(expected, rel=1e-9)
 
 
 def test_metric_without_a_number_for_a_sensor_is_nan() -> None:
