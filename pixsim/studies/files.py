@@ -116,6 +116,9 @@ def _without_files(settings: dict[str, Any]) -> dict[str, Any]:
         if isinstance(node, dict) and isinstance(node.get(name), str):
             value_of = _FILES_OF_VALUES.get(path, whole_path)
             settings = merge(settings, nested(path, value_of(node[name])))
+    processes = settings.get("process")
+    if processes:
+        settings = settings | {"process": {whole_path(name): processes[name] for name in processes}}
     return settings
 
 
@@ -318,19 +321,19 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     lie next to the study's file.
     """
     technologies = table.get("technologies")
-    processes = table.get("process")
     if isinstance(technologies, list):
         table["technologies"] = [resolve_file(path, name) for name in technologies]
-    if isinstance(processes, dict):
-        table["process"] = {
-            resolve_file(path, name): numbers for name, numbers in processes.items()
-        }
 
     values: list[Any] = []
     for axis in _tables(table.get("axis")):
         values += _resolved_values(axis, path)
     settings = [part.get("set") for part in (*_tables(values), *_tables(table.get("condition")))]
     for part in (table, *_tables(settings)):
+        processes = part.get("process")
+        if isinstance(processes, dict):
+            part["process"] = {
+                resolve_file(path, name): numbers for name, numbers in processes.items()
+            }
         resolve_files(part, path, FILES)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.commands import output_of
 from helpers.processes import HANG_S
 
 from pixsim.base import machine
@@ -28,13 +28,12 @@ def written(root: Path, files: dict[str, str]) -> Path:
 
 
 def test_doctor_on_this_machine_has_no_problems():
-    code, out, err = command(f"doctor --json --limit-s {HANG_S}")
-    assert code == 0, err
-    findings = {finding["subject"]: finding for finding in json.loads(out)["findings"]}
-    facts = findings["test render"]["facts"]
+    findings = json.loads(output_of(f"doctor --json --limit-s {HANG_S}"))["findings"]
+    facts_of = {finding["subject"]: finding["facts"] for finding in findings}
+    facts = facts_of["test render"]
     assert facts["mean_lx"] == pytest.approx(facts["expected_lx"], rel=trial.MAX_MEAN_ERROR)
     # The library that the render used is the one that is said to be in use.
-    assert findings["LLVM"]["facts"]["path"] == facts["llvm"]
+    assert facts_of["LLVM"]["path"] == facts["llvm"]
 
 
 def test_closed_form_lx_matches_hand_calculation():

@@ -81,6 +81,13 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
     return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())
 
 
+def output_of(line: str, *words: object) -> str:
+    """Stdout of `pixsim LINE` with further arguments, which must succeed."""
+    code, out, err = command(line, *words)
+    assert code == 0, err
+    return out
+
+
 def process(
     line: str, *words: object, folder: Path | None = None, **changes: str | None
 ) -> subprocess.CompletedProcess[str]:

@@ -1,6 +1,5 @@
 """First lines of answers, which are read at a glance, and the answers of `pixsim compare`."""
 
-import csv
 import json
 import math
 import re
@@ -12,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.commands import command, output_of
 from helpers.runs import run_result
 from helpers.sheets import sheet, two_sheets
+from helpers.tiny import rows
 
 import pixsim
 from pixsim.base.headline import MAX_HEADLINE_WORDS
@@ -137,8 +137,7 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
     files = two_sheets(tmp_path)
     line = f"compare {SMALL} --dry-run --json --match lens --out {tmp_path / 'out'}"
     code, out, err = command(line, *files)
-    assert (code, err) == (0, "")
-    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert (code, err, sorted(tmp_path.iterdir())) == (0, "", sorted(files))
     content = json.loads(out)
     cameras = [sensor["camera"] for sensor in content["sensors"].values()]
     assert [camera["focal_length_mm"] for camera in cameras] == [3.86, 3.86]
@@ -149,9 +148,7 @@ def test_compare_of_three_has_a_difference_for_each_pair(tmp_path: Path) -> None
     """That of the means of its sensors."""
     files = [*two_sheets(tmp_path), sheet(tmp_path / "worst.toml", 400.0, prnu=0.0)]
     options = SMALL.replace("--repeats 3", "--repeats 2 --match view --json")
-    code, out, err = command(f"compare {options} --out {tmp_path / 'out'}", *files)
-    assert code == 0, err
-    content = json.loads(out)
+    content = json.loads(output_of(f"compare {options} --out {tmp_path / 'out'}", *files))
     assert list(content["pairs"]) == list(content["verdicts"]) == ["noisy_one", "worst"]
     for name, difference in content["difference"].items():
         scores = content["pairs"][name]["scores"]
@@ -225,17 +222,14 @@ def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(
     options = " ".join(f"--metric {name}" for name in metrics)
     small = "--scene target --display.dots 32 --resolution 64 --repeats 3 --jobs 1 --match view"
     line = f"compare {options} {small} --out {tmp_path / 'out'}"
-    code, out, err = command(line, *two_sheets(tmp_path))
-    assert code == 0, err
-    assert "in detectability d′" in out.splitlines()[0]
+    assert "in detectability d′" in output_of(line, *two_sheets(tmp_path)).splitlines()[0]
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert ("mean ΔE" in re.sub(r'"data:[^"]*"', "", page)) == ("delta_e" in metrics)
 
     content = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
-    table = (tmp_path / "out/figures/scores.csv").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(table.splitlines()))
+    table = rows(tmp_path / "out/figures/scores.csv")
     for name in content["names"]:
-        values = [float(row["detectability"]) for row in rows if row["sensor"] == name]
+        values = [float(row["detectability"]) for row in table if row["sensor"] == name]
         expected = content["metrics"]["detectability"]["scores"][name][1]
         assert np.mean(values) == pytest.approx(expected)
 
@@ -277,8 +271,7 @@ def test_each_value_of_an_axis_is_a_comparison_of_its_own(
     )
     Path("lights.toml").write_text(f'name = "lights"\naxis = [{axis}]\n', encoding="utf-8")
     small = "--scene flat --display.dots 32 --resolution 48 --repeats 3 --jobs 1 --match view"
-    code, out, err = command(f"compare --study lights.toml --out out {small}", *files)
-    assert code == 0, err
+    out = output_of(f"compare --study lights.toml --out out {small}", *files)
     content = json.loads(Path("out/compare.json").read_text(encoding="utf-8"))
     assert out.splitlines()[0] == content["verdicts"][content["names"][1]]
     options = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1, "match": "view"}

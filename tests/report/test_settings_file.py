@@ -6,14 +6,14 @@ import json
 import re
 import shlex
 import tomllib
-import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.commands import command, output_of
 from helpers.sheets import two_sheets
 from helpers.tiny import tiny_toml
 from pydantic import BaseModel
@@ -38,8 +38,8 @@ bits = 12
 [camera]
 die_mm = 1.5
 """
+DARK = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
 DUSK = '[[condition]]\nname = "dusk"\nset.exposure.max_integration_s = 0.01\n'
-AXIS = '[[axis]]\nname = "noise"\nset = "pixel.read_noise_e"\nvalues = [2, 20]\n'
 
 
 @pytest.fixture
@@ -59,6 +59,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         pixsim.SpectralImage(np.arange(400.0, 701.0, 10.0), 10.0, 31.25, data=light),
     )
     (folder / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    (folder / "layers.toml").write_text(f"{DARK}{DUSK}", encoding="utf-8")
     (folder / "dusk.toml").write_text(
         f'name = "s"\n{DUSK}[[condition]]\nname = "day"\nset.camera.f_number = 4.0\n',
         encoding="utf-8",
@@ -66,12 +67,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     two_sheets(folder)
     monkeypatch.chdir(folder)
     return folder
-
-
-def done(line: str) -> None:
-    with warnings.catch_warnings(action="ignore"):
-        code, _, err = command(line)
-    assert code == 0, err
 
 
 def command_in(folder: Path) -> str:
@@ -115,16 +110,14 @@ def test_command_of_settings_makes_the_same_numbers(
     tmp_path: Path,
     monkeypatch: Any,
 ) -> None:
-    """The command in settings.toml, in its folder, gives every number again, bit for bit;
-    `assert_repeats` has it for studies.
-    """
+    """The command in settings.toml, in its folder, gives every number again, bit for bit."""
     options = "--irradiance none" if line.startswith("run") else "--jobs 1"
     out, again = desk / "out", tmp_path / "again"
-    done(f"{line} {options} --out out")
+    output_of(f"{line} {options} --out out")
     repeat = command_in(out)
     assert repeat.startswith(head)
     monkeypatch.chdir(out)
-    done(f"{repeat} {options} --out {again}")
+    output_of(f"{repeat} {options} --out {again}")
     for name in files:
         assert (again / name).read_bytes() == (out / name).read_bytes(), name
     first, second = (
@@ -141,6 +134,23 @@ def test_command_of_settings_makes_the_same_numbers(
         assert first["display"]["dots"] == 91  # the sheet's pixels across, 1.1 mm / 12 µm
 
 
+def test_settings_of_a_study_make_the_same_numbers_in_another_folder(
+    desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Layers and ranges stand there as values, beside a condition; files by their whole paths."""
+    options = {"pixel": {"technology": "mine.toml"}, "parameters": {"chart": "star.exr", "spp": 4}}
+    layers = {"config": "layers.toml", "window_mm": 0.9, "render_noise": 10.0}
+    study = partial(pixsim.study, variant="scalar_spectral", jobs=1)
+    result = study("tiny.toml", "out", **options, **layers)
+    monkeypatch.chdir(tmp_path)
+    Path("settings.toml").write_text(result.settings_toml, encoding="utf-8")
+    again = study("settings.toml", "again")
+    delta_e, delta_e_again = ([curve.delta_e for curve in each.curves] for each in (result, again))
+    np.testing.assert_array_equal(delta_e_again, delta_e)
+    assert len(np.unique(delta_e)) == np.size(delta_e), "what a case sets is used"
+    assert tomllib.loads(again.settings_toml) == tomllib.loads(result.settings_toml)
+
+
 def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,12 +158,12 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     second one there too.
     """
     scene, same = "run macbeth --variant scalar_spectral --irradiance none", tmp_path / "again"
-    done(
+    output_of(
         f"{scene} --config sheet.toml --resolution 32 -D spp=4 --render-noise 0.001 --max-seconds"
         " 1e-9 --out out"
     )
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
-    done(f"{scene} --config out/settings.toml --out {same}")
+    output_of(f"{scene} --config out/settings.toml --out {same}")
     first, again = (
         json.loads((folder / "score.json").read_text(encoding="utf-8"))
         for folder in (desk / "out", same)
@@ -163,57 +173,6 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
         "target",
     )
     assert (same / "raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
-
-
-DARK = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
-PLAN = 'name = "own"\nrepeats = 2\nrender_noise = 10\nresolution = 48\n'
-OPEN = "pitch.count = 6\ndisplay.dots = 50\n"
-
-
-@pytest.mark.parametrize(
-    ("files", "options"),
-    [
-        ({"plan": OPEN, "config": "sheet.toml"}, {"window_mm": 0.9, "pitch": {"min_um": 10}}),
-        ({"plan": OPEN + "camera.die_mm = 1.0\npitch.min_fill_factor = 0.3\n"},
-         {"pixel": {"technology": "mine.toml"}, "parameters": {"chart": "star.exr", "spp": 4}}),
-        ({"plan": f"pitch = {{ values_um = [8, 10, 14, 20, 28] }}\n{AXIS}", "config": "sheet.toml"}, {"window_mm": 0.9}),
-        # layers and ranges stand there as values, beside a condition
-        ({"plan": "tiny.toml", "config": DARK + DUSK}, {"variant": "scalar_spectral"}),
-    ],
-)  # fmt: skip
-# test_command_of_settings_makes_the_same_numbers has the claim
-@pytest.mark.slow
-def test_study_of_settings_has_the_same_numbers(
-    files: dict[str, str],
-    options: dict[str, Any],
-    desk: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """In another folder; the head of settings.toml names the command.
-
-    files : a file as plan and as config, or what follows `PLAN` in one
-    """
-    paths = dict(files)
-    for name, text in files.items():
-        if "\n" in text:
-            paths[name] = f"{name}.toml"
-            Path(paths[name]).write_text(f"{PLAN}{text}", encoding="utf-8")
-    with warnings.catch_warnings(action="ignore"):
-        result = pixsim.study(out=desk / "out", jobs=1, **paths, **options)
-        monkeypatch.chdir(tmp_path)
-        Path("settings.toml").write_text(result.settings_toml, encoding="utf-8")
-        variant = options.get("variant")
-        again = pixsim.study("settings.toml", "again", variant=variant, jobs=1)
-
-    shell = f"study settings.toml{f' --variant {variant}' if variant else ''}"
-    assert command_in(tmp_path) == shell
-    for first, second in zip(result.curves, again.curves, strict=True):
-        np.testing.assert_array_equal(first.delta_e, second.delta_e)  # NaN: fewer sensors
-    assert len({curve.delta_e.tobytes() for curve in result.curves}) == len(result.curves), (
-        "what a case sets is used"
-    )
-    assert tomllib.loads(again.settings_toml) == tomllib.loads(result.settings_toml)
 
 
 RECORDS = {"sensor": Run, "study": Study}

@@ -158,7 +158,9 @@ def test_files_of_axes_conditions_and_metrics_lie_next_to_the_study(tmp_path: Pa
             "values": [{"label": "a", "set": {"pixel": {"quantum_efficiency": "qe.csv"}}}],
         },
     ]
-    night = {"name": "n", "set": {"scene": {"parameters": {"chart": "star.exr"}}}}
+    processes = {"mine.toml": {"dsnu": 0.2}}
+    scene = {"parameters": {"chart": "star.exr"}}
+    night = {"name": "n", "set": {"scene": scene, "process": processes}}
     metrics = 'metrics = ["detectability"]\nmetric.detectability.without = "empty.xml"\n'
     text = f'name = "s"\naxis = {toml_of(axes)}\ncondition = {toml_of([night])}\n{metrics}'
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
@@ -166,7 +168,8 @@ def test_files_of_axes_conditions_and_metrics_lie_next_to_the_study(tmp_path: Pa
     scene, qe, star, mine, empty = map(str, files)
     assert [axis.values for axis in study.axis[:2]] == [(scene, "csf"), (mine, "0.5um")]
     assert study.axis[2].points[0].table == {"pixel": {"quantum_efficiency": qe}}
-    assert study.condition[0].set == {"scene": {"parameters": {"chart": star}}}
+    resolved = {"scene": {"parameters": {"chart": star}}, "process": {mine: {"dsnu": 0.2}}}
+    assert study.condition[0].set == resolved
     assert study.metric.detectability.without == empty
 
 

@@ -20,7 +20,7 @@ for needed in ("sphinx", "myst_parser", "furo"):
     if find_spec(needed) is None:  # not imported, which takes a second of each worker's collection
         pytest.skip(f"{needed} is not installed: pip install '.[docs]'", allow_module_level=True)
 
-# The site takes long to build; part of `.ci/run`, which builds it on one worker.
+# Before a release. The site takes long to build; part of `.ci/run`, which builds it on one worker.
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("site")]
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
