@@ -113,7 +113,7 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
                 f"scene.{ILLUMINANCE}",
                 "illuminance",
                 "lx",
-                "at the place that the scene's author chose",
+                "on the scene's part or place, where white (reflectance 1) has lux/π cd/m²",
                 1e-9,
                 1e9,
             ),

@@ -558,7 +558,7 @@ def _threshold_pitch_words(threshold: Threshold, header: Mapping[str, Any]) -> s
     header : of the irradiance
     """
     is_light = threshold.parameter in (ILLUMINANCE, IRRADIANCE)
-    surface = f" {reflectance_words(header)}" if is_light else ""
+    surface = f", {reflectance_words(header)}" if is_light else ""
     lower = threshold.value
     upper = threshold.upper_value
     if lower is None and upper is None:

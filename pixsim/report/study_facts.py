@@ -70,10 +70,12 @@ def _study_light_words(result: StudyResult) -> list[str]:
     if len(set(lines)) == 1:
         return lines[:1]
 
-    # The light differs: what it falls on may not.
-    headers = [part.irradiance.header for part in result.cases]
-    parts = {f"light {reflectance_words(header)}" for header in headers if PART in header}
-    return sorted(parts)[:1] if len(parts) == 1 else []
+    # The exposures or the light differ: the light, or what it falls on, may not.
+    headers = [part.irradiance.header for part in result.cases if PART in part.irradiance.header]
+    lights = {part_words(header) for header in headers}
+    if len(lights) > 1:
+        lights = {f"light {reflectance_words(header)}" for header in headers}
+    return list(lights) if len(lights) == 1 else []
 
 
 def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
