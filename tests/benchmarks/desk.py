@@ -1,4 +1,4 @@
-"""Write the meshes and pictures of desk.xml into this folder: python tests/data/desk/make.py"""
+"""Write the meshes and pictures of tests/data/desk/desk.xml: `python tests/benchmarks/desk.py`."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import matplotlib.image
 import numpy as np
 import OpenEXR
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).parents[1] / "data/desk"
 
 
 def torus(around: int = 20, across: int = 10, radius: float = 0.011, tube: float = 0.005) -> str:
