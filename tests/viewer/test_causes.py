@@ -390,7 +390,6 @@ ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         {"pixel": {"quantum_efficiency": [[400.0, 0.5], [650.0, 0.5]]}},
         {"pixel": {"quantum_efficiency": [[400.0, 0.5], [650.0, 0.5], [660.0, 0.0]]}},
     ),
-    ("no_effect", {"display": WHITE | {"adaptation": "cat02"}}, {}),
     ("cause", {"exposure": Exposure(integration_s=1e4)}, {}),
     (
         "focus",
