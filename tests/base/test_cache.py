@@ -153,7 +153,7 @@ def test_only_an_entry_of_its_own_label_is_read(folder, place, tmp_path):
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
+def test_version_fingerprint_depends_on_sources_and_packages(monkeypatch, tmp_path):
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
     monkeypatch.setattr(cache, "_digest_of_sources", cache._digest_of_sources.__wrapped__)
     fingerprint = cache.version_fingerprint.__wrapped__
@@ -164,7 +164,11 @@ def test_version_fingerprint_depends_on_sources(monkeypatch, tmp_path):
     (tmp_path / "notes.txt").touch()  # no source
     assert fingerprint() == fingerprints[-1]
     monkeypatch.setattr(cache, "VERSION", "99")
-    assert len({*fingerprints, fingerprint()}) == 6
+    fingerprints.append(fingerprint())
+    for package in ("numpy", "scipy", "mitsuba", "drjit"):
+        monkeypatch.setattr(cache, "version_of", lambda name, other=package: name * (name != other))
+        fingerprints.append(fingerprint("mitsuba", "drjit"))
+    assert len(set(fingerprints)) == len(fingerprints) == 10
 
 
 # --- What is written

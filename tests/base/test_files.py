@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
 
-from pixsim.base.errors import PixsimError
+from pixsim import PixsimError, SpectralImage
 from pixsim.base.files import (
     FILE_LIST,
     FILE_LIST_OF_1_1,
@@ -34,7 +34,6 @@ from pixsim.base.schema import KEY, SCHEMA, json_text
 from pixsim.base.tables import write_text
 from pixsim.base.toml import SETTINGS_HEAD, read_toml, settings_table_text
 from pixsim.light.exr import write_exr
-from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import write_npz
 from pixsim.scene.charts import write_chart
 from pixsim.sensor.raw import RawFrame, write_frame

@@ -398,7 +398,7 @@ def test_error_of_tiles_falls_with_their_number(sharp_light: ChannelWavefronts) 
     The part of the tiles falls with the fourth power of their number, as cubic windows have it;
     what a PSF lacks stays. Four points tell their RMS, half of the gate, to 35 %.
     """
-    side, near = 128, 32
+    side, near = 128, 24
     dots = random_dots(side)
     points = np.random.default_rng(5).integers(near, side - near, (4, 2))
 
@@ -422,8 +422,9 @@ def test_error_of_tiles_falls_with_their_number(sharp_light: ChannelWavefronts) 
     totals = [rms(picture[tuple(points.T)] - exact) / contrast for picture in (*coarse, finest)]
     assert min(math.log2(parts[0] / parts[1]), math.log2(parts[1] / parts[2])) > 1.8, parts
     assert max(totals[1:]) < 0.001, totals
-    assert parts[0] < tile_bound(sharp_light, side, 32)
-    assert parts[1] < tile_bound(sharp_light, side, 16) < tile_bound(sharp_light, side, 32)
+    bounds = [tile_bound(sharp_light, side, spacing) for spacing in (32, 16)]
+    assert parts[0] < bounds[0]
+    assert parts[1] < bounds[1] < bounds[0]
 
 
 def test_mirrors_do_not_change_the_blur(light: ChannelWavefronts) -> None:
@@ -650,7 +651,7 @@ def test_options_make_the_camera_again() -> None:
 
 
 def test_lens_on_another_die_sees_the_same_field() -> None:
-    camera = with_lens("cooke_triplet", 24.0, 2.0)
+    camera = with_lens("singlet", 24.0, 2.0)
     other = lens_on_die(camera, Camera(die_mm=6.0), same_view=True)
     check("field", other.fov_deg, camera.fov_deg, rtol=1e-6, why="four steps")
     assert 4 * other.lens.focal_length_mm == pytest.approx(camera.lens.focal_length_mm, rel=0.05)
@@ -660,12 +661,12 @@ def test_lens_on_another_die_sees_the_same_field() -> None:
 
 def test_die_beyond_the_image_circle_is_dark_there() -> None:
     """US 7,535,658 has no rays beyond some field. The pupil there is that of the outermost light."""
-    camera = with_lens("phone", 12.0, 1.0, focal_length_mm=5.2)
-    heights_mm, _ = field_angles(camera.lens, 1.0, math.hypot(12.0, 12.0) / 2)
+    camera = with_lens("phone", 10.0, 1.0, focal_length_mm=5.2)
+    heights_mm, _ = field_angles(camera.lens, 1.0, math.hypot(10.0, 10.0) / 2)
     assert heights_mm[-1] < 6
-    dark = 1 - math.pi * heights_mm[-1] ** 2 / 144
+    dark = 1 - math.pi * heights_mm[-1] ** 2 / 100
     check("dark share", dark_share(camera), dark, atol=0.02, why="the pupil shrinks before")
-    pupil = camera_pupil(camera).at([1e3 * heights_mm[-1], 6000.0], [0.0, 6000.0])
+    pupil = camera_pupil(camera).at([1e3 * heights_mm[-1], 5000.0], [0.0, 5000.0])
     last, beyond = np.linalg.norm(pupil.chief_cosines, axis=-1)
     check("chief ray", beyond, last, rtol=1e-12, why="the same pupil")
 
@@ -708,16 +709,22 @@ def test_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() ->
     assert moved[near].max() < 0.015 * moved[-1]
 
 
-@pytest.mark.parametrize(("file", "die_mm"), [("phone", 2.7), ("double_gauss", 24.0)])
-@pytest.mark.parametrize("turn_deg", [0.0, 45.0, 90.0], ids=["radial", "diagonal", "tangential"])
-@pytest.mark.parametrize("frequency", [0.125, 0.24])
+@pytest.mark.parametrize(
+    ("file", "die_mm", "turn_deg", "frequency"),
+    [
+        ("phone", 2.7, 0.0, 0.125),
+        *(("phone", 2.7, turn_deg, 0.24) for turn_deg in (0.0, 45.0, 90.0)),
+        ("double_gauss", 24.0, 45.0, 0.125),
+        ("double_gauss", 24.0, 90.0, 0.24),
+    ],
+)
 def test_waves_through_distortion_have_their_means_over_film_cells(
     file: str, die_mm: float, turn_deg: float, frequency: float
 ) -> None:
     """Against quadrature over the cells, within the stated error; cells of the phone's source are
     up to 13 % larger or smaller. Frequencies in cycles per cell.
     """
-    rows = 48
+    rows = 36
     columns = 800
     pitch_mm = die_mm / columns
     camera = Camera(die_mm=die_mm, die_height_mm=rows * pitch_mm, object_distance_m=5.0)
@@ -826,7 +833,7 @@ def test_picture_of_a_point_has_the_centroid_of_the_traced_spot(
 
 
 def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:
-    camera = with_lens("cooke_triplet", 24.0, focal_length_mm=50.0)
+    camera = with_lens("cooke_triplet", 26.0, 1e4, focal_length_mm=50.0, refocus="paraxial")
     front, finer = (fitted_wavefronts(camera, (550.0,), nodes)[0] for nodes in (17, 33))
     middles = front.height_um[:-1] + np.diff(front.height_um) / 2
     numbers = np.array([front.at(float(middle)) for middle in middles])

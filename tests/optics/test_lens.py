@@ -370,11 +370,11 @@ def test_shapes_broadcast_and_mirror_images_are_equal() -> None:
 def test_bits_do_not_depend_on_what_is_traced_together(name: str) -> None:
     """Else a study would depend on the number of its processes."""
     lens = replace(lens_named(name))
-    fields = np.linspace(0, lens.max_field_deg, 3)
+    fields = np.array([0.3, 1.0]) * lens.max_field_deg
     wavelengths = np.array([480.0, 600.0])
     whole = lens.opd_waves(fields[:, None, None], wavelengths[:, None], *DISC)
     area = lens.projected_solid_angle_sr(fields[:, None], wavelengths)
-    for at in np.ndindex(3, 2):
+    for at in np.ndindex(2, 2):
         condition = fields[at[0]], wavelengths[at[1]]
         lone = replace(lens)
         assert np.array_equal(lone.opd_waves(*condition, *DISC), whole[at]), condition
@@ -411,11 +411,11 @@ def test_illumination_conserves_light(name: str) -> None:
     lens = lens_named(name)
     fields = np.array([0.0, 0.5, 0.9]) * lens.max_field_deg + [0.01, 0, 0]
     half = 0.75 * lens.entrance_pupil_diameter_mm
-    grid = (np.arange(200) + 0.5) / 200 * half
+    grid = (np.arange(100) + 0.5) / 100 * half
     x, y = np.meshgrid(grid, np.concatenate([-grid[::-1], grid]))
     waves = lens.unaimed_wavefront(fields, lens.primary_nm, x, y)
     through = waves.passed & np.isfinite(waves.x_mm) & (np.hypot(waves.stop_x, waves.stop_y) <= 1)
-    area = 2 * through.sum(axis=1) * (half / 200) ** 2
+    area = 2 * through.sum(axis=1) * (half / 100) ** 2
     around = fields[:, None] + np.array([-1e-3, 0, 1e-3])
     below, heights, above = lens.chief_ray(around, lens.primary_nm).height_mm.T
     theta = np.radians(fields)

@@ -32,7 +32,7 @@ from pixsim.scene.film import (
     largest_film,
 )
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.scene.plan import UNIFORM_RESOLUTION, make_plan, make_render_plan
+from pixsim.scene.plan import UNIFORM_RESOLUTION, Plan, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 
@@ -96,11 +96,16 @@ def test_pruned_and_full_plans_agree_within_their_bound(case: str) -> None:
         assert np.mean(np.abs(ratio * wrong - 1) > allowed) > 0.5
 
 
+@cache
+def plan_of(name: str, tolerance_e: float) -> Plan:
+    return make_plan(load(name, resolution=64), tolerance_e=tolerance_e)
+
+
 @pytest.mark.parametrize("name", packaged_scenes())
 @pytest.mark.parametrize("tolerance_e", [1e-2, 1e-4])
 def test_bound_of_a_plan_is_within_its_tolerance(tolerance_e: float, name: str) -> None:
     """The decisions have their bounds and reasons."""
-    plan = make_plan(load(name, resolution=64), tolerance_e=tolerance_e)
+    plan = plan_of(name, tolerance_e)
     bounds_e = [line.bound_e for line in plan.decisions]
     assert (min(bounds_e), plan.warnings) == (0, ())
     assert sum(bounds_e) == plan.bound_e <= tolerance_e
@@ -110,8 +115,7 @@ def test_bound_of_a_plan_is_within_its_tolerance(tolerance_e: float, name: str) 
 
 @pytest.mark.parametrize("name", ["macbeth", "still_life", "line_lamp", "cornell_box", "yard"])
 def test_a_smaller_tolerance_needs_more_passes_or_bands(name: str) -> None:
-    scene = load(name, resolution=64)
-    loose, tight = (make_plan(scene, tolerance_e=tolerance_e).light for tolerance_e in (1e-2, 1e-4))
+    loose, tight = (plan_of(name, tolerance_e).light for tolerance_e in (1e-2, 1e-4))
     assert tight.passes >= loose.passes
     assert tight.bands.width_nm.size >= loose.bands.width_nm.size
     assert tight.passes + tight.bands.width_nm.size > loose.passes + loose.bands.width_nm.size
@@ -428,23 +432,32 @@ NOT_APPLIED = {
 }
 
 
-packaged_plan = cache(render_plan)
+def loose_plan(path: Path | str) -> Plan:
+    """Return a plan whose few bands take no time: where things stand decides."""
+    return make_render_plan(load(path), pixel=pixsim.Pixel(), tolerance_e=1e-2)
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Return a folder with a picture whose left half is red and whose right half is blue."""
+packaged_plan = cache(loose_plan)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a picture whose left half is red and whose right half is blue.
+
+    The tests share it: a spectrum is read once for each path.
+    """
+    folder = tmp_path_factory.mktemp("edited")
     left_share = np.repeat(np.array([[1, 0]], np.float32), 4, axis=1).repeat(8, axis=0)
     shares = {"R": left_share, "G": 0 * left_share, "B": 1 - left_share}
     planes = {name: 0.05 + np.float32(0.95) * share for name, share in shares.items()}
-    write_channels(tmp_path / "coloured.exr", planes, {})
-    return tmp_path
+    write_channels(folder / "coloured.exr", planes, {})
+    return folder
 
 
 @pytest.mark.parametrize("name", NOT_APPLIED)
 def test_plan_rules_do_not_apply(name: str, folder: Path) -> None:
     scene, edits, left_in = NOT_APPLIED[name]
-    plan = render_plan(edited(folder, scene, *edits))
+    plan = loose_plan(edited(folder, scene, *edits))
     assert not left_out(plan) & left_in
     # The edit makes a difference.
     assert left_in - {"texture samples"} <= left_out(packaged_plan(scene)) | {"diffraction"}

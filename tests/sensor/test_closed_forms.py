@@ -13,15 +13,13 @@ from scipy.constants import c as light_speed, e as electron, h as planck, k as b
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from pixsim import Camera, Correction, Exposure, Pixel
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
-from pixsim.optics.camera import Camera
 from pixsim.sensor.camera_data import camera_sensitivities
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.correction import outliers, residual_variance_e2, without_defects
-from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.integration import diffusion_of, first_edge_um, pixel_count, pixels_on
 from pixsim.sensor.mismatch import (
@@ -64,7 +62,6 @@ from pixsim.sensor.pixel import (
     silicon_curve,
     smallest_pitch_um,
 )
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Adc, Readout, dark_spread_e, least_black_level_dn
 from pixsim.sensor.readout import (
     frame_mean_dn,

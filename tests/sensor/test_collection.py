@@ -14,9 +14,8 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import quad
 from scipy.signal import convolve
 
-from pixsim.light.spectral import SpectralImage
+from pixsim import Camera, Correction, Display, Exposure, Pixel, SpectralImage
 from pixsim.measure.experiment import pixel_efficiency
-from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import CameraPupil, camera_pupil
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import Stack, collected_shares
@@ -38,10 +37,8 @@ from pixsim.sensor.collection import (
     stack_shares,
 )
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.crosstalk import share_with_neighbours, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf, spread_shares
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import (
     collecting_area_um2,
     electrons_per_joule,
@@ -50,10 +47,8 @@ from pixsim.sensor.integration import (
     pixels_on,
 )
 from pixsim.sensor.pixel import PixelPhysics, derive, largest_pitch_um
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.viewer.chain import ImagingChain
-from pixsim.viewer.display_options import Display
 
 CAMERA = Camera(die_mm=0.48, f_number=2.0)
 WIDE = Camera(die_mm=0.48, focal_length_mm=0.4, f_number=2.0)  # 40° in the corners

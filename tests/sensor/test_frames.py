@@ -23,14 +23,11 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import pixsim
-from pixsim import cli
+from pixsim import Correction, Exposure, Pixel, cli
 from pixsim.base.arrays import Array, stream
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction import correct, residual_variance_e2
-from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import (
     BLACK_LEVEL_TAG,
     ENCODING,

@@ -15,8 +15,7 @@ from helpers.statistics import seeded
 from scipy.constants import c as light_speed, h as planck
 from scipy.interpolate import BSpline, make_interp_spline
 
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
+from pixsim import Camera, Pixel, SpectralImage
 from pixsim.sensor import integration
 from pixsim.sensor.integration import (
     any_hard_edge,
@@ -30,7 +29,6 @@ from pixsim.sensor.integration import (
     running_integral,
 )
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 
 DIE_UM = 2713.6
 NM = np.array([420.0, 530.0, 660.0])

@@ -13,9 +13,8 @@ import pytest
 from helpers.blur import point_spread
 from helpers.claims import check
 
+from pixsim import Display, Pixel, PixsimError, SpectralImage
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import edge_response
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
@@ -46,9 +45,7 @@ from pixsim.sensor.integration import (
     real_lens_rate,
 )
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.film_error import parts_of
-from pixsim.viewer.display_options import Display
 
 NM, FILM_UM, PIXEL_UM = 550.0, 1.25, 2.5
 ROWS, COLUMNS = 320, 2000  # a strip of the die along a radius
@@ -198,21 +195,25 @@ def traced(x_mm: float, y_mm: float) -> tuple[Array, Array]:
     return cosines, chief * outward
 
 
+LAYERS: dict[str, dict[str, str]] = {
+    "bare": {},
+    "lens": {"microlens": "square"},
+    "shifted": {"microlens": "square", "shift": "optimal"},
+}
+
+
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("name", "place"),  # x, y in mm, in all quadrants
     [
-        ("bare", {}),
-        ("lens", {"microlens": "square"}),
-        ("shifted", {"microlens": "square", "shift": "optimal"}),
+        ("bare", (1.1, 0.3)), ("bare", (-1.7, -1.7)), ("lens", (-0.8, 1.6)),
+        ("lens", (-1.7, -1.7)), ("shifted", (1.1, 0.3)), ("shifted", (-0.8, 1.6)), ("shifted", (0.2, -1.9)),
     ],
-)
-# x, y in mm, in all quadrants
-@pytest.mark.parametrize("place", [(1.1, 0.3), (-0.8, 1.6), (-1.7, -1.7), (0.2, -1.9)])
+)  # fmt: skip
 def test_collection_is_the_direct_sum_over_traced_rays(
-    name: str, options: dict[str, Any], place: tuple[float, float]
+    name: str, place: tuple[float, float]
 ) -> None:
     """Between the places where pupils are traced, against each ray's landing place."""
-    layers = {"height_um": 3.0, "index": 1.5} | options
+    layers = {"height_um": 3.0, "index": 1.5} | LAYERS[name]
     physics = derive(Pixel(pitch_um=3.0, infrared_cut_nm=720.0, fill_factor=0.5, stack=layers))
     stack = physics.stack
     light = illumination(phone(), np.array([NM]), np.ones(1), np.ones(1))

@@ -13,18 +13,13 @@ from helpers.tiny import tiny
 from scipy.integrate import quad
 from scipy.special import erf
 
-from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
-from pixsim.sensor.exposure import Exposure
+from pixsim import Camera, Display, Exposure, Pixel, PixsimError, SpectralImage
 from pixsim.sensor.integration import MovingPicture, integrate_pixels
 from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion, LightSpectrum
 from pixsim.sensor.motion_options import NO_MOTION, Motion, motion_text
-from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
 from pixsim.studies.prepare import prepare
 from pixsim.studies.sweep import sweep
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.evaluate import evaluate
 
 

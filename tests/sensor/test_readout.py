@@ -20,13 +20,10 @@ from scipy.constants import c as light_speed, h as planck
 from scipy.stats import poisson
 
 import pixsim
+from pixsim import Camera, Correction, Exposure, SpectralImage
 from pixsim.base import arrays
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
 from pixsim.sensor import photodiode, readout as sensors
 from pixsim.sensor.correction import residual_variance_e2
-from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import DarkSpread
 from pixsim.sensor.noise import SOURCES, Along, NoiseSource
 from pixsim.sensor.pixel import derive
@@ -299,38 +296,6 @@ def test_seeds_set_the_fixed_pattern_and_the_noise() -> None:
     codes = [sensors.capture(FACTORED, Camera(), first, rng=seeded(seed)).dn for seed in (1, 1, 2)]
     np.testing.assert_array_equal(codes[0], codes[1])
     assert 0.5 < np.mean(codes[0] != codes[2]) < 1.0
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}],
-)
-def test_a_frame_equals_its_stages(options: dict[str, Any]) -> None:
-    """The stages written out, with the same random numbers, give the same codes, also beyond the
-    well.
-    """
-    readout = Readout.of(derive(Pixel(pitch_um=6.5, **options)))
-    physics = readout.physics
-    mean_e = seeded(1).uniform(0, 1.4 * readout.full_well_e, (40, 30))
-    sensor = sensors.sample_sensor(readout, mean_e.shape, seeded(2))
-    dn = sensors.read_out(mean_e.copy(), 0.05, sensor, seeded(3))
-
-    rng = seeded(2)
-    gain = np.ones(mean_e.shape)
-    if readout.prnu:
-        gain = np.maximum(1 + readout.prnu * rng.standard_normal(mean_e.shape), 0)
-    dark_e = readout.dark_current_e_per_s * 0.05 * np.ones(mean_e.shape)
-    if physics.dsnu:
-        dark_e *= rng.gamma(physics.dsnu**-2, physics.dsnu**2, mean_e.shape)
-    offset_e = physics.offset_fpn_e * rng.standard_normal(mean_e.shape)
-    column_e = physics.column_fpn_e * rng.standard_normal((1, 30))
-
-    rng = seeded(3)
-    level_e = np.minimum(rng.poisson(mean_e * gain + dark_e).astype(float), readout.full_well_e)
-    level_e += readout.noise_floor_e * rng.standard_normal(mean_e.shape)
-    level_e = level_e + offset_e + column_e
-    expected = np.rint(level_e * readout.dn_per_e + readout.adc.black_level_dn)
-    np.testing.assert_array_equal(dn, np.clip(expected, 0, readout.adc.top_code_dn))
 
 
 def test_sensor_has_the_readout_of_its_pixel_and_the_shape_of_the_die() -> None:

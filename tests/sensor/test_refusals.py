@@ -7,20 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pixsim import datasheet
-from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
+from pixsim import Camera, Correction, Exposure, Motion, PixsimError, SpectralImage, datasheet
 from pixsim.sensor.camera_data import camera_sensitivities, has_common_scale
 from pixsim.sensor.collection import collected_fraction, emva_illumination, kernel_on_axis
 from pixsim.sensor.correction import flat_light_e
-from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import integrate_pixels, pixel_count, pixels_on
 from pixsim.sensor.motion import border_with_motion_um
-from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.photodiode import diode_of
 from pixsim.sensor.pixel import derive, given_efficiency, pitch_for_fill_factor_um
 from pixsim.sensor.pixel_options import Pixel, excluded_by

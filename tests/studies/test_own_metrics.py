@@ -33,17 +33,22 @@ vars(rms_error).update(unit="of white", title="RMS error", unseen="what the eye 
 
 def test_a_function_is_a_metric_of_a_study_in_any_process(plan: Path, tmp_path: Path) -> None:
     """Workers get it by value, and know no function by its name: neither for frames, nor for the
-    lights that they compute.
+    lights that they compute. So they get one that denoises, which is local here.
     """
+
+    def halved(plane: np.ndarray, strength: float) -> np.ndarray:
+        return (plane + plane.mean()) / 2
+
     axis = [{"name": "aperture", "set": "camera.f_number", "values": [2.8, 8.0]}]
-    options: dict[str, Any] = {"metrics": ["delta_e", rms_error], "axis": axis}
-    curves = study(plan, tmp_path / "1", jobs=1, **options).curves
-    study(plan, tmp_path / "2", jobs=2, **options)
+    functions: dict[str, Any] = {"metrics": ["delta_e", rms_error], "develop": {"denoise": halved}}
+    result = study(plan, tmp_path / "1", jobs=1, axis=axis, **functions)
+    study(plan, tmp_path / "2", jobs=2, axis=axis, **functions)
     assert (tmp_path / "1/results.csv").read_bytes() == (tmp_path / "2/results.csv").read_bytes()
-    values = np.array([curve.statistics["rms_error"] for curve in curves])
+    values = np.array([curve.statistics["rms_error"] for curve in result.curves])
     assert values.shape == (2, 6, 2)
     assert 0 < values.min() < values.max() < 1
-    assert curves[0].metrics[1].label == "RMS error (of white)"
+    assert "halved#" in result.settings_toml
+    assert result.curves[0].metrics[1].label == "RMS error (of white)"
 
 
 def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from helpers.chains import imaging_chain
 from helpers.claims import Claim
-from helpers.tiny import tiny
 from scipy.fft import dct
 
-from pixsim import Camera, Correction, Develop, Display, Exposure, Pixel, SpectralImage, study
+from pixsim import Camera, Correction, Develop, Display, Exposure, Pixel, SpectralImage
 from pixsim.light.spectral import colour_matching, luminous_weight
 from pixsim.light.standard import illuminant, patch_reflectance
 from pixsim.optics import irradiance_factor
@@ -24,7 +23,6 @@ from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
-from pixsim.studies.files import settings_text
 from pixsim.viewer import colour_matrix, develop as develop_module, sharpening, tone
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.demosaic import remosaic
@@ -776,20 +774,7 @@ def test_noise_aware_matrix_uses_the_noise_that_linear_filters_leave() -> None:
     assert squares[2] == squares[0]
 
 
-# --- functions of users, and studies
-
-
-@pytest.mark.filterwarnings("ignore:.*")
-def test_function_denoises_in_the_workers_of_a_study(tmp_path: Any) -> None:
-    """A function that is local here, in two processes, gives the rows of one process."""
-
-    def local(plane: np.ndarray, strength: float) -> np.ndarray:
-        return smooth(plane, strength)
-
-    plan = tiny(develop={"denoise": local}, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]})
-    rows = [study(plan, tmp_path / str(jobs), jobs=jobs).to_csv() for jobs in (1, 2)]
-    assert rows[0] == rows[1]
-    assert "local#" in settings_text(plan, "study")
+# --- files
 
 
 def test_tone_curve_lies_next_to_its_file(tmp_path: Any) -> None:

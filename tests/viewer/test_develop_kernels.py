@@ -70,7 +70,7 @@ def patches_of(case: str, count: int = 18) -> tuple[np.ndarray, np.ndarray, np.n
 # --- the colour matrix against another program
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", CASES[::2])
 def test_matrix_is_that_of_another_optimiser(case: str) -> None:
     """To 1e-6, from responses and from sensitivities; least squares have one solution, to rounding.
     White is kept.
@@ -455,12 +455,12 @@ def noisy(mean_e: np.ndarray, read_noise_e: float, rng: np.random.Generator) -> 
 
 @pytest.mark.parametrize("read_noise_e", READ_NOISE_E)
 def test_inverse_of_draws_is_unbiased(read_noise_e: float) -> None:
-    """Of 10⁶ draws within 3.5 standard errors: 1 of 100 runs of other seeds fails one of all."""
+    """Of 250 000 draws within 3.5 standard errors: 1 of 100 runs of other seeds fails one of all."""
     rng = np.random.default_rng(SEED)
     for mean_e in (0.5, 20.0, 1e4):
-        raw_e = noisy(np.full(1_000_000, mean_e), read_noise_e, rng)
+        raw_e = noisy(np.full(250_000, mean_e), read_noise_e, rng)
         values = anscombe.forward(raw_e, read_noise_e**2)
-        mean = values.mean() + (values.std() / 1e3) * np.array([-3.5, 3.5])
+        mean = values.mean() + (values.std() / 500) * np.array([-3.5, 3.5])
         low_e, high_e = anscombe.inverse(mean, read_noise_e**2)
         assert low_e <= mean_e <= high_e
 

@@ -128,7 +128,7 @@ CONFIGURATIONS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     ),
     "colour": (
         {"pixel": {**SHEET, "colour": COLOUR}, **QUICK_FIT},
-        ("pixel.colour", "develop.", "display."),
+        ("pixel.colour", "develop.", "display.adaptation"),
     ),
     "one dot a pixel": (
         {"pixel": SHEET, "display": {"raster": "one_to_one"}},
