@@ -18,7 +18,12 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks.curve_studies import covers, simulation_options, study_rounds
+from benchmarks.curve_studies import (
+    covers,
+    simulation_options,
+    study_rounds,
+    sweep_truth_of,
+)  # fmt: skip
 from helpers.dense_curves import simulated
 
 from pixsim.show.figures import LINE_STYLES, new_figure, pixsim_style, svg_text
@@ -42,7 +47,7 @@ def even_pitches_um(study: Study, count: int) -> list[float]:
 
 def grid_half_widths(number: int, pitches_um: list[float]) -> list[float]:
     """Half widths of a simulated study for each number of sensors."""
-    study, _ = simulated(CURVE, number, GRID_PITCHES, 0)
+    study, _ = simulated(sweep_truth_of(CURVE), number, GRID_PITCHES, 0)
     return [
         study.fit(dict.fromkeys(pitches_um, sensors)).optimum.half_width_um
         for sensors in GRID_SENSORS
@@ -55,7 +60,7 @@ def round_half_widths(
     """Evaluations, half width, and whether the interval covers the minimum, after each round of a
     simulated study.
     """
-    study, _ = simulated(CURVE, number, len(pitches_um), sensors)
+    study, _ = simulated(sweep_truth_of(CURVE), number, len(pitches_um), sensors)
     points = []
     for now, fit in study_rounds(study, dict.fromkeys(pitches_um, sensors), max_sensors):
         evaluations = sum(now.values())

@@ -33,21 +33,21 @@ from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.curve_studies import (
+    HELD_OUT,
     covers,
     simulated_beside_an_end,
     simulated_loud,
     simulation_options,
     study_rounds,
+    sweep_truth_of,
 )  # fmt: skip
 from helpers.dense_curves import (
-    HELD_OUT,
     STEEP,
     Sensors,
     SimulatedStudy,
     holds,
     simulated,
     simulated_even,
-    truth_of,
 )  # fmt: skip
 
 from pixsim.studies.optimum import FittedCurve
@@ -125,10 +125,13 @@ def row_of(
 def fixed_cell(
     curve: str, pitches: int, repeats: int, studies: int, loud: bool = False
 ) -> dict[str, Any]:
-    truth_of(curve)
+    sweep_truth_of(curve)
     records, start = [], time.perf_counter()
     for number in range(studies):
-        study, sensors = (simulated_loud if loud else simulated)(curve, number, pitches, repeats)
+        if loud:
+            study, sensors = simulated_loud(curve, number, pitches, repeats)
+        else:
+            study, sensors = simulated(sweep_truth_of(curve), number, pitches, repeats)
         records.append(record_of(study, *study.refined(sensors, MAX_SENSORS)))
     return row_of(
         "loud" if loud else "fixed",
@@ -144,10 +147,10 @@ def rounds_cell(
     curve: str, pitches: int, repeats: int, studies: int, target_um: float
 ) -> dict[str, Any]:
     """Rounds until the target is met, or the next one would exceed MAX_EVALUATIONS."""
-    truth_of(curve)
+    sweep_truth_of(curve)
     records, start = [], time.perf_counter()
     for number in range(studies):
-        study, sensors = simulated(curve, number, pitches, repeats)
+        study, sensors = simulated(sweep_truth_of(curve), number, pitches, repeats)
         for more, fit in study_rounds(study, sensors, MAX_SENSORS):
             if sum(more.values()) > MAX_EVALUATIONS:
                 break
@@ -162,7 +165,7 @@ def rounds_cell(
 
 def beside_an_end(studies: int) -> str:
     """Text on the coverage of studies that close an open end beside their best size."""
-    truth, missed = truth_of("beside_an_end"), 0
+    truth, missed = sweep_truth_of("beside_an_end"), 0
     sizes_um = np.geomspace(*np.exp(truth.log_pitch[[0, -1]]), 12).tolist()
     for number in range(studies):
         study = SimulatedStudy(truth, np.random.default_rng(number))
@@ -175,7 +178,7 @@ def ends_cell(curve: str, end: str, steps: float, pitches: int, studies: int) ->
     """Coverage and length of the interval where the best size is some steps from an end of the
     sizes, with two sensors each.
     """
-    truth = truth_of(curve)
+    truth = sweep_truth_of(curve)
     held, contained, is_open, half_um, error_um, added = [], [], [], [], [], []
     for number in range(studies):
         study, first = simulated_beside_an_end(curve, number, pitches, end, steps)
@@ -217,10 +220,10 @@ def even_cell(curve: str, pitches: int, studies: int) -> dict[str, Any]:
     """Coverage and length of the interval for sizes in equal ratios with two sensors each, and more
     where an end is open.
     """
-    truth = truth_of(curve)
+    truth = sweep_truth_of(curve)
     held, half_um, error_um, share, evaluations = [], [], [], [], []
     for number in range(studies):
-        study, first = simulated_even(curve, number, pitches)
+        study, first = simulated_even(truth, number, pitches)
         sensors, fit = study.refined(first, MAX_SENSORS)
         best = fit.optimum
         held.append(holds(best, truth, np.array(list(first))))

@@ -98,16 +98,18 @@ def test_page_blocks_give_shown_output(
         )
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_page_with_numbers_names_machine(path: Path) -> None:
-    if any({"output", "picture"} & block.comments.keys() for block in blocks_of(text_of(path))):
-        assert f"]({os.path.relpath(MADE_ON, path.parent)})" in text_of(path)
+BLOCKS = [(path, block) for path in PAGES for block in blocks_of(text_of(path))]
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_page_blocks_are_all_checked(path: Path) -> None:
+def test_pages_with_numbers_name_the_machine() -> None:
+    pages = {path for path, block in BLOCKS if {"output", "picture"} & block.comments.keys()}
+    links = {path: f"]({os.path.relpath(MADE_ON, path.parent)})" for path in pages}
+    assert not {path for path, link in links.items() if link not in text_of(path)}
+
+
+def test_blocks_of_pages_are_all_checked() -> None:
     """A block is run, is the output or a file of others, or is run at another place that exists."""
-    for block in blocks_of(text_of(path)):
+    for path, block in BLOCKS:
         where = f"{path.name}, line {block.line}"
         if "elsewhere" in block.comments:
             other = ROOT / block.comments["elsewhere"].partition(",")[0]
@@ -325,10 +327,9 @@ def found(name: str) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("old", "new"), [row[:2] for row in ROWS], ids=[row[0] for row in ROWS])
-def test_renamed_name_is_there_and_the_old_one_gone(old: str, new: str) -> None:
-    assert not found(old)
-    assert not new or found(new)
+def test_renamed_names_are_there_and_the_old_ones_gone() -> None:
+    assert not [old for old, _, _ in ROWS if found(old)]
+    assert not [new for _, new, _ in ROWS if new and not found(new)]
 
 
 def test_every_public_name_of_1_0_is_there_or_on_the_page() -> None:
@@ -360,18 +361,15 @@ def test_citation_and_changelog_state_this_version_and_its_day() -> None:
     newest, day = re.findall(
         r"^## (\S+) \((\d.+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
     )[0]
-    assert [*re.findall(r"^version: (.+)$", citation, re.MULTILINE), newest] == [
-        pixsim.__version__
-    ] * 2
-    assert re.findall(
-        r"^  version = \{(.+)\},$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
-    ) == [newest]
+    versions = re.findall(r"^version: (.+)$", citation, re.MULTILINE)
+    versions += re.findall(r"^  version = \{(.+)\},$", text_of(README), re.MULTILINE)
+    assert [*versions, newest] == [pixsim.__version__] * 3
     assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [
         f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"
     ]
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=str)
-def test_pages_name_files_that_are_there(path: Path) -> None:
-    names = re.findall(r"\b(?:tests|pixsim|scenes|docs)/[\w./-]+\.\w+", path.read_text("utf-8"))
+def test_pages_name_files_that_are_there() -> None:
+    text = "\n".join(map(text_of, (ROOT / "docs").rglob("*.md")))
+    names = re.findall(r"\b(?:tests|pixsim|scenes|docs)/[\w./-]+\.\w+", text)
     assert [name for name in names if not (ROOT / name).exists()] == []

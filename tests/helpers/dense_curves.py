@@ -1,17 +1,14 @@
 """Simulated studies of known curves, for tests of the interval of the optimum; more of them for
 benchmarks are made in tests/benchmarks/curve_studies.py.
 
-A curve is a smooth fit to a dense sweep (tests/data/dense_sweeps): the posterior mean of a
-quadratic plus a twice integrated Wiener process in the logarithm of the photodiode width, at the
-maximum likelihood of stiffness and residual. A simulated study draws its pitches, a residual that
-the sensors of a pitch share, and the noise of each sensor. Curves with a steep flank are formulas.
+A curve is a formula, or a spline through a dense sweep (tests/data/dense_sweeps). A simulated study
+draws its pitches, a residual that the sensors of a pitch share, and the noise of each sensor.
 """
 
-import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,22 +16,9 @@ from scipy.interpolate import make_interp_spline
 
 from pixsim.base.arrays import Array
 from pixsim.studies.curve import next_near_best, next_where_open
-from pixsim.studies.design import photodiode_widths_um
-from pixsim.studies.files import load_study
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
-# Of the sweeps of chen2000; in the others the photodiode width is proportional to the pitch.
-TECHNOLOGIES = {
-    "chen2000_0.35um": "0.35um",
-    "near_an_end": "0.5um",
-    "at_the_end": "0.35um",
-    "skewed": "0.18um",
-    "beside_an_end": "0.35um",
-}
-SENSORS = 8  # at each pitch of a sweep
-STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # relative to the least mean ΔE
-RESIDUALS = np.arange(0.0, 2.1, 0.25)  # relative to the standard error at a pitch of a sweep
 # Curves with a steep flank below the minimum: the pitches tried, and the mean ΔE of pitches.
 STEEP: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
     "steep_power": (1.0, 10.0, lambda um: 0.5 + 0.075 * np.log(um / 3) ** 2 + 6 * um**-6.0),
@@ -63,13 +47,7 @@ FORMS: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
     "powers": (0.95, 8.2, lambda um: ((um / 2.5) ** -2.0 + um / 1.25) / 3),
 }
 FORM_NOISE = 0.01
-# Metrics of which more is better, without noise: their reciprocals are fitted, through all values
-# of the sweep.
-WITHOUT_NOISE = ("information", "information_f8", "detectability", "detectability_f8")
-# The constants of the regression were chosen without these.
-HELD_OUT = tuple(
-    f"{metric}_f{f_number}" for metric in WITHOUT_NOISE[::2] for f_number in ("4", "5_6", "11")
-)
+METRICS = ("information", "detectability")
 # Ends of sizes in equal ratios, and how far their logarithms are drawn from them.
 EVEN_ENDS_UM = (1.2, 6.5)
 EVEN_ENDS_SPREAD = 0.2
@@ -86,14 +64,12 @@ class Truth:
     """A curve of mean ΔE against pitch, and the scatter of sensors about it.
 
     width_um : photodiode width of pixel pitches; None if it is proportional to the pitch
-    stiffness : most likely stiffness, relative to the least mean ΔE; NaN of a formula
     noise : relative standard deviation of one sensor's mean ΔE
     residual : most likely relative standard deviation that the sensors of a pitch share
     """
 
     name: str
     width_um: Widths | None
-    stiffness: float
     noise: float
     residual: float
     log_pitch: Array = field(repr=False)
@@ -111,64 +87,23 @@ class Truth:
 
 @cache
 def truth_of(name: str) -> Truth:
-    """The curve of a dense sweep, or one of `STEEP` or `FORMS`."""
+    """One of `STEEP` or `FORMS`, or a spline through the logarithms of a dense sweep: of ΔE, whose
+    sensors scatter, or of the reciprocal of a metric of which more is better, without noise.
+    """
     formula = STEEP.get(name) or FORMS.get(name.removesuffix("_exact"))
     if formula:
         low_um, high_um, curve_of = formula
         log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
         noise = STEEP_NOISE if name in STEEP else FORM_NOISE * (name in FORMS)
         residual = STEEP_RESIDUAL if name in STEEP else 0.0
-        return Truth(name, None, math.nan, noise, residual, log_pitch, curve_of(np.exp(log_pitch)))
-    if name in (*WITHOUT_NOISE, *HELD_OUT):
-        pitch_um, mean, _ = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
-        log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
-        curve = np.exp(-make_interp_spline(np.log(pitch_um), np.log(mean))(log_pitch))
-        return Truth(name, None, math.nan, 0.0, 0.0, log_pitch, curve)
+        return Truth(name, None, noise, residual, log_pitch, curve_of(np.exp(log_pitch)))
+
     pitch_um, mean, spread = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
-    technology = TECHNOLOGIES.get(name)
-    width_um = (
-        partial(photodiode_widths_um, load_study("chen2000"), technology) if technology else None
-    )
-    width = width_um or (lambda pitch: pitch)
-    u, least = np.log(width(pitch_um) / width(pitch_um[:1])), float(mean.min())
-    noise = float(np.sqrt(np.mean((spread / mean) ** 2)))
-    y, basis = mean / least, np.vander(u, 3)
-
-    def solve(stiffness: float, residual: float) -> tuple[float, Array, Array]:
-        """Log-likelihood marginalised over the quadratic, coefficients of the quadratic, and
-        weights of the process.
-        """
-        variance = y**2 * noise**2 / SENSORS * (1 + residual**2)
-        inverse = np.linalg.inv(stiffness**2 * integrated_wiener(u, u) + np.diag(variance))
-        information = basis.T @ inverse @ basis
-        beta = np.linalg.solve(information, basis.T @ inverse @ y)
-        weights = inverse @ (y - basis @ beta)
-        determinants = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(information)[1]
-        return (determinants - weights @ (y - basis @ beta)) / 2, beta, weights
-
-    options = [(stiffness, residual) for stiffness in STIFFNESSES for residual in RESIDUALS]
-    stiffness, residual = max(options, key=lambda option: solve(*option)[0])
-    _, beta, weights = solve(stiffness, residual)
     log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
-    places = np.maximum(np.log(width(np.exp(log_pitch)) / width(pitch_um[:1])), 0.0)
-    curve = least * (
-        np.vander(places, 3) @ beta + stiffness**2 * integrated_wiener(places, u) @ weights
-    )
-    return Truth(
-        name,
-        width_um,
-        float(stiffness),
-        noise,
-        residual * noise / np.sqrt(SENSORS),
-        log_pitch,
-        curve,
-    )
-
-
-def integrated_wiener(one: Array, other: Array) -> Array:
-    """Covariance of a Wiener process integrated twice from 0, (one, other)."""
-    least, distance = np.minimum(one[:, None], other), np.abs(one[:, None] - other)
-    return least**5 / 20 + distance * least**4 / 8 + distance**2 * least**3 / 12
+    curve = np.exp(make_interp_spline(np.log(pitch_um), np.log(mean))(log_pitch))
+    if name.startswith(METRICS):
+        return Truth(name, None, 0.0, 0.0, log_pitch, 1 / curve)
+    return Truth(name, None, float(np.sqrt(np.mean((spread / mean) ** 2))), 0.0, log_pitch, curve)
 
 
 @dataclass(frozen=True)
@@ -232,24 +167,23 @@ class SimulatedStudy:
             sensors = more
 
 
-def simulated(name: str, number: int, pitches: int, repeats: int) -> tuple[SimulatedStudy, Sensors]:
+def simulated(
+    truth: Truth, number: int, pitches: int, repeats: int
+) -> tuple[SimulatedStudy, Sensors]:
     """The simulated study with a `number`, and its initial sensors; the same on every machine."""
-    study = SimulatedStudy(
-        truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number])
-    )
+    key = [zlib.crc32(truth.name.encode()), pitches, repeats, number]
+    study = SimulatedStudy(truth, np.random.default_rng(key))
     return study, dict.fromkeys(study.pitches_um(pitches).tolist(), repeats)
 
 
 def simulated_even(
-    name: str, number: int, pitches: int, repeats: int = 2
+    truth: Truth, number: int, pitches: int, repeats: int = 2
 ) -> tuple[SimulatedStudy, Sensors]:
     """The simulated study of sizes in equal ratios with a `number`, and its sensors; the same on
     every machine.
     """
-    study = SimulatedStudy(
-        truth_of(name),
-        np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number, 1]),
-    )
+    key = [zlib.crc32(truth.name.encode()), pitches, repeats, number, 1]
+    study = SimulatedStudy(truth, np.random.default_rng(key))
     return study, dict.fromkeys(study.even_pitches_um(pitches).tolist(), repeats)
 
 

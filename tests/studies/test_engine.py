@@ -184,32 +184,16 @@ def client(cluster: str) -> Iterator[Any]:
         yield client
 
 
-# test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_there has the claim
-@pytest.mark.slow
-def test_comparison_on_the_cluster_of_a_client_is_the_same(client: Any) -> None:
-    compare = partial(
-        pixsim.compare,
-        ["0.35um", "4t-bsi"],
-        repeats=2,
-        camera={"die_mm": 2.7},
-        display={"dots": 32},
-        resolution=48,
-        pixel={"pitch_um": 60.0},
-    )
-    assert compare(scheduler=client).as_dict() == compare(jobs=1).as_dict()
-    assert client.status == "running", "it stays open"
-
-
 def test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_there(
-    cluster: str, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    client: Any, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither scene nor technology: another file of that name in a worker's folder would be taken
     for the user's. Lights of a batch travel together; here two batches of two.
     """
     monkeypatch.chdir(desk)
     monkeypatch.setattr("pixsim.viewer.scene_light.SCENE_CACHE_BYTES", 150_000)
-    there = pixsim.study("study.toml", tmp_path, scheduler=cluster)
-    assert there.scenes.capacity == 2
+    there = pixsim.study("study.toml", tmp_path, scheduler=client)
+    assert (there.scenes.capacity, client.status) == (2, "running"), "it stays open"
     assert (tmp_path / "results.csv").read_bytes() == Path("whole/results.csv").read_bytes()
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.claims import Claim
-from helpers.dense_curves import SimulatedStudy, Truth, holds, simulated, simulated_even
+from helpers.dense_curves import SimulatedStudy, Truth, holds, simulated, simulated_even, truth_of
 from helpers.processes import HANG_S
 from helpers.tiny import keys, tiny as tiny_study
 from scipy import integrate, special, stats
@@ -406,7 +406,7 @@ def test_fit_curve_does_not_swing_beside_a_steep_flank(curve: str) -> None:
     It is 0.2 to 0.5 % by the logarithm, where a fit is at most 3.1 % off; without, up to 2.3 % and
     27 %.
     """
-    studies = [simulated(curve, number, 11, 3) for number in range(12)]
+    studies = [simulated(truth_of(curve), number, 11, 3) for number in range(12)]
     optima = [study.fit(sensors).optimum for study, sensors in studies]
     truth = studies[0][0].truth
     least = truth.curve.min()
@@ -430,7 +430,7 @@ def test_fit_curve_interval_coverage() -> None:
     covered = []
     ratios = []
     for (curve, pitches), number in product(EVEN, range(12)):
-        study, sensors = simulated_even(curve, number, pitches)
+        study, sensors = simulated_even(truth_of(curve), number, pitches)
         optimum = study.refined(sensors, max_sensors=32)[1].optimum
         covered.append(holds(optimum, study.truth, np.array(list(sensors))))
         ratios.append(abs(optimum.pitch_um - study.truth.best_um) / optimum.half_width_um)
@@ -446,13 +446,14 @@ def test_fit_curve_interval_of_exact_values_is_all_between_sizes(curve: str) -> 
     So sizes are added near the best of exact values, until half the interval is below 1 % of the
     size.
     """
-    study, sensors = simulated_even(curve, 0, 7)
+    study, sensors = simulated_even(truth_of(curve), 0, 7)
     more, fit = study.refined(sensors, max_sensors=32)
     assert holds(fit.optimum, study.truth, np.array(list(more)))
     assert 0.0074 < fit.optimum.half_width_um / fit.optimum.pitch_um < 0.01
     assert 0.99 < fit.optimum.between_sizes_share <= 1
     assert 0 < added({"": sensors}, {"": more}) <= MAX_NEAR_BEST
-    noisy_study, sensors = simulated_even(curve.removesuffix("_exact"), 0, 11)
+    noisy = truth_of(curve.removesuffix("_exact"))
+    noisy_study, sensors = simulated_even(noisy, 0, 11)
     assert 0 <= noisy_study.fit(sensors).optimum.between_sizes_share < 0.5
 
 
@@ -553,7 +554,7 @@ def beside_an_end(seed: int) -> SimulatedStudy:
     """
     pitch_um = np.geomspace(NINE_UM[0], NINE_UM[-1], 20_001)
     curve = 1 + 0.26 * np.log(width_um(pitch_um) / width_um(np.array(END_BEST_UM))) ** 2
-    truth = Truth("beside an end", width_um, np.nan, 0.004, 0.0, np.log(pitch_um), curve)
+    truth = Truth("beside an end", width_um, 0.004, 0.0, np.log(pitch_um), curve)
     return SimulatedStudy(truth, np.random.default_rng(seed))
 
 

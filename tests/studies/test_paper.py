@@ -853,21 +853,6 @@ def test_setting_of_the_base_changes_nothing(done: Any) -> None:
     assert (case(done, "light", "f/2.8").curves[0].delta_e[0] / base[0]).max() < 0.95
 
 
-# time alone; test_base_case_equals_the_base_study has its numbers
-@pytest.mark.slow
-def test_unchanged_technology_is_computed_once(done: Any, desk: Path) -> None:
-    """Base, half and f/2.8 with two technologies, and each end in each technology: 12 pixels of a
-    technology each.
-    """
-    assert (done.counts.cases, done.counts.evaluations_made) == (12, 12 * 6 * 2)
-    alone = case(done, "dark current", "0.25um 9").curves
-    np.testing.assert_array_equal(alone[0].delta_e, done.parts[0].curves[0].delta_e)
-    assert (alone[1].delta_e != done.parts[0].curves[1].delta_e).any()
-    again = sensitivity_study(desk)
-    assert again.counts.evaluations_made == 0
-    assert again.as_dict() | {"counts": None} == done.as_dict() | {"counts": None}
-
-
 def test_statements_of_a_case_are_those_of_the_study_alone(done: Any, desk: Path) -> None:
     """All of the paper. The rows of its process are shared between cases that do not change it."""
     part = case(done, "dark current", "all high")

@@ -761,6 +761,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+SLOW = [("compare", "lens"), ("sweep", "lens"), ("sweep", "sobol")]
+
+
 @cache
 def made_without(form: str, name: str) -> object:
     # Without the light and its metric, there is no detectability.
@@ -770,10 +773,10 @@ def made_without(form: str, name: str) -> object:
 @pytest.mark.usefixtures("desk")
 @pytest.mark.parametrize(
     ("form", "name"),
-    # The light is the first argument of a sweep. A lens and many draws take seconds; the other
+    # The light is the first argument of a sweep. A lens and many frames take seconds; the other
     # settings have the claim.
     [
-        pytest.param(*pair, marks=[pytest.mark.slow] if pair[1] in ("lens", "sobol") else [])
+        pytest.param(*pair, marks=[pytest.mark.slow] if pair in SLOW else [])
         for pair in product(MADE, VALUES)
         if pair != ("sweep", "light")
     ],

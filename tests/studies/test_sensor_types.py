@@ -489,31 +489,6 @@ def test_verdicts_are_shares_of_the_types(done: tuple[Any, Path]) -> None:
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
 
 
-# test_option_of_a_study_acts_is_named_or_is_refused has the argument
-@pytest.mark.slow
-def test_sobol_in_python_has_the_indices_of_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
-) -> None:
-    """The command takes the rows of the study in Python; that in settings.toml draws the same
-    types.
-    """
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
-    sheet(Path("sheet.toml"), uncertainty={"read_noise_e": {"sd": 5.0}})
-    options = {"config": "sheet.toml", "jobs": 1, "sobol": 8, "smaller_than_um": [6.0]}
-    (result,) = pixsim.study("s.toml", "out", **options).uncertainty
-    assert result.draws == 8 * (1 + 2)
-    before = Path("out", TYPES_FILE).read_bytes()
-    evaluations.clear()
-    line = "--sobol 8 --smaller-than 6.0"
-    command(f"study s.toml --config sheet.toml {line} --jobs 1 --out out")
-    assert len(evaluations) < 5, "a type has at least 5, figures have 3"
-    assert Path("out", TYPES_FILE).read_bytes() == before
-    summary = json.loads(Path("out/summary.json").read_bytes())
-    assert summary["uncertainty"] == [json.loads(json.dumps(result.as_dict()))]
-    assert f"# pixsim study settings.toml {line}\n" in Path("out/settings.toml").read_text("utf-8")
-
-
 @pytest.fixture
 def sheets(tmp_path: Path) -> tuple[Path, list[str]]:
     """A study of two sheets and two technologies, whose [pixel] has an uncertain PRNU."""
