@@ -288,6 +288,8 @@ def explore(
 
     Example: pixsim explore csf --config my_sensor.toml
 
+    Several files of sensors (--config, repeated) are starting points to choose from.
+
     It ends when the page is closed, or by Ctrl-C. It reads no other files than those named here,
     and serves this user alone.
     """

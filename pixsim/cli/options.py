@@ -273,9 +273,10 @@ Config = Annotated[
     list[Path] | None,
     Parameter(
         completer=_complete_settings,
+        metavar="FILE",
         help=(
-            "TOML file with tables [camera], [pixel], …, or a packaged sensor: imx363, imx477;"
-            " later files take precedence."
+            "TOML file with tables [camera], [pixel], …, or a packaged sensor: imx363, imx477."
+            " Repeatable: later files take precedence."
         ),
     ),
 ]

@@ -173,11 +173,22 @@ class Preset(NamedTuple):
 
 
 def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset]:
-    """Return the presets: first the files and options of the user, then each of several files, and
-    what pixsim packages.
+    """Return the presets: first the files and options of the user, then what pixsim packages.
+
+    Of several files with a sensor's [pixel], each is a preset; the other files hold for all.
     """
+    sensors = [path for path in config if "pixel" in settings_layer(path).table]
     presets = [Preset("start", "as given", tuple(config), tables)]
-    presets += [Preset("files", path.name, (path,), tables) for path in config if len(config) > 1]
+    if len(sensors) > 1:
+        presets = [
+            Preset(
+                "files",
+                sensor.name,
+                tuple(path for path in config if path == sensor or path not in sensors),
+                tables,
+            )
+            for sensor in sensors
+        ]
     # A run with a data sheet alone would be shown on the dots of its pixels: all have one display,
     # and a picture comes soon.
     options = {name: table for name, table in tables.items() if name != "pixel"}

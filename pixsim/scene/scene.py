@@ -377,6 +377,11 @@ class Scene:
         return self.parameters | files | linear | beyond
 
     @property
+    def is_packaged(self) -> bool:
+        """Whether its file is a packaged one, which is made for the default die."""
+        return self.path in _packaged_files()
+
+    @property
     def content_hash(self) -> str:
         """Hash of the parsed tree and the bytes of its textures."""
         tree = hash_of_tree(self.parse())
@@ -410,6 +415,11 @@ def _chart_parameters(camera: Camera) -> dict[str, float]:
         "chart_ratio_x": width / shorter,
         "chart_ratio_y": height / shorter,
     }
+
+
+@lru_cache
+def _packaged_files() -> frozenset[Path]:
+    return frozenset(path.resolve() for path in packaged_scenes().values())
 
 
 @lru_cache

@@ -603,6 +603,11 @@ class Pixel(PixelOptions):
             return ()
         return tuple(missing)
 
+    @property
+    def is_stated(self) -> bool:
+        """Whether its size, its technology or a number of its data sheet is stated."""
+        return bool({"technology", "pitch_um"} & self.given or self.assumed)
+
     def __repr__(self) -> str:
         return super().__repr__() + (f"  # {self.assumption}" if self.assumption else "")
 

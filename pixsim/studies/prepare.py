@@ -14,7 +14,7 @@ them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +29,7 @@ from pixsim.base.records import Record
 from pixsim.base.schema import KEY
 from pixsim.base.toml import whole_path
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
+from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.optics.exchange import camera_of_light, read_with_camera
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
@@ -694,6 +694,27 @@ def loaded_scene(
     return scene.with_resolution(resolution) if resolution else scene
 
 
+def warn_of_default_sensor(
+    scene: Scene, cameras: Iterable[CameraOptions], pixel: Pixel | None = None
+) -> None:
+    """Warn of the die and the pixel that a scene of the user has because nobody states them.
+
+    cameras : options of each camera
+    pixel : None where the command states the pixels
+    """
+    if scene.is_packaged:
+        return
+    defaults = []
+    if all(options.die_mm is None for options in cameras):
+        defaults.append(f"a die of {Camera().die_mm:g} mm ({setting('camera.die_mm')})")
+    if pixel is not None and not pixel.is_stated:
+        size = f"{pixel.pitch_um:g} µm in {pixel.technology}"
+        defaults.append(f"a pixel of {size} ({setting('pixel.pitch_um')})")
+    if defaults:
+        words = f"assumed, as in the paper: {' and '.join(defaults)}"
+        warn(Note("assumed", words=words))
+
+
 _GIVEN_LIGHT = "(given light)"  # in place of a scene's file
 # Settings of a render, which light that is given does not have.
 _SCENE_SETTINGS = (
@@ -889,6 +910,8 @@ def prepare(
     view = _chosen_view(base_study, source, camera)
 
     cases = cases_of(study)
+    if isinstance(source, Scene):
+        warn_of_default_sensor(source, [case.settings.camera for case in cases])
     complete: list[Case[Study]] = []
     for case in cases:
         with named((case.words or BASE) if study.has_cases else ""):

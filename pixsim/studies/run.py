@@ -48,6 +48,7 @@ from pixsim.studies.prepare import (
     loaded_scene,
     scene_with_view,
     sensor_case,
+    warn_of_default_sensor,
     with_view,
 )
 from pixsim.studies.table import Table
@@ -379,6 +380,7 @@ def prepare(
         file = source
         if scene.shows_target and "metrics" not in settings.model_fields_set:
             settings = settings.model_copy(update={"metrics": _METRICS_OF_TARGET})
+        warn_of_default_sensor(scene, [settings.camera], settings.pixel)
     _start_value(settings, scene)
     if warns_of_unused_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))

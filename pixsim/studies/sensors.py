@@ -51,6 +51,7 @@ from pixsim.studies.prepare import (
     loaded_scene,
     sensor_case,
     uncertainty_request,
+    warn_of_default_sensor,
     with_delta_e,
     with_view,
 )
@@ -805,6 +806,8 @@ def prepare(
         chosen_match,
         shared.unused,
     )
+
+    warn_of_default_sensor(groups[0].first.scene, [case.settings.camera for case in base])
 
     # The same by another match of the cameras, unless sensors see the same by it; then pairs alone.
     with suppressed_warnings():  # the groups of all sensors have warned

@@ -30,7 +30,7 @@ from pixsim.studies.film_error import (
     standard_noise_of,
 )
 from pixsim.studies.lights import LightRequest, light_request, rendered_light
-from pixsim.studies.prepare import loaded_scene
+from pixsim.studies.prepare import loaded_scene, warn_of_default_sensor
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.extreme_cases import all_cases
 from pixsim.viewer.imaging import Imaging
@@ -219,6 +219,7 @@ def measure_accuracy(
         sensor=sensor,
     )
     camera = scene.camera(settings.camera, settings.lens)
+    warn_of_default_sensor(scene, [settings.camera], settings.pixel)
     settings_in_use = UserSettings.from_setting(
         Imaging.of(settings, camera), settings, not_taken=NOT_TAKEN
     )

@@ -246,12 +246,20 @@ def test_page_names_no_files_and_no_impossible_values(values, word):
 
 
 def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
-    """Those of pixsim have the user's display, and no pixel of the user's."""
-    files = [tmp_path / "one.toml", tmp_path / "two.toml"]
-    presets = presets_of(files, {"pixel": {"bits": 12}, "display": {"dots": 64}})
-    assert presets[0].config == tuple(files)
+    """Of several files with a pixel each is one, beside the files without. Those of pixsim have the
+    user's display, and no pixel of the user's.
+    """
+    one, two, view = files = [tmp_path / f"{name}.toml" for name in ("one", "two", "view")]
+    for path, table in zip(files, ("pixel", "pixel", "display"), strict=True):
+        path.write_text(f"[{table}]\nbits = 10", encoding="utf-8")
+    options = {"pixel": {"bits": 12}, "display": {"dots": 64}}
+    assert presets_of([view, one], options)[0][1:3] == ("as given", (view, one))
+    presets = presets_of([one, view, two], options)
+    assert [preset[:3] for preset in presets[:2]] == [
+        ("files", "one.toml", (one, view)),
+        ("files", "two.toml", (view, two)),
+    ]
     by_name = {preset.name: preset for preset in presets}
-    assert by_name["one.toml"].group == by_name["two.toml"].group == "files"
     tables = {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}}
     assert by_name["4t-bsi"][2:] == ((), tables)
     assert by_name["imx477"].tables["pixel"]["full_well_e"] == 8180

@@ -4,6 +4,7 @@ plain tree; and the white of a scene by a plate at the object's distance.
 
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -396,6 +397,41 @@ def test_film_and_samples_are_mitsubas_or_those_that_the_user_states(tmp_path: P
     study = pixsim.Study(name="film", scene={"file": str(path), "parameters": stated})
     scene = prepare(study).cases[0].scene
     assert (scene.film_size(scene.parse()), scene.sample_count(scene.parse())) == ((12, 16), 9)
+
+
+DIE = "a die of 2.7136 mm (--camera.die-mm)"
+PIXEL = "a pixel of 6.5 µm in 0.35um (--pixel.pitch-um)"
+
+
+@pytest.mark.parametrize(
+    ("words", "defaults"),
+    [
+        ("run {} --resolution 8 --display.dots 16 --variant scalar_spectral", f"{DIE} and {PIXEL}"),
+        ("plan {} --pixel.bits 12", f"{DIE} and {PIXEL}"),
+        ("plan {} --camera.die-mm 2", PIXEL),
+        ("plan {} --camera.die-mm 2 --pixel.pitch-um 6", ""),
+        ("plan csf", ""),
+        ("study pixel-size --scene {} --dry-run", DIE),
+        ("study pixel-size --scene {} --dry-run --axis camera.die_mm=2,3", ""),
+        ("compare 0.35um 4t-bsi --scene {} --dry-run", DIE),
+        ("compare imx477 4t-bsi --scene {} --dry-run", ""),
+    ],
+)
+def test_sensor_that_nobody_states_is_named_once(
+    words: str, defaults: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For a scene of the user: packaged ones are made for a die."""
+    monkeypatch.chdir(tmp_path)
+    scene_file(tmp_path, sensor_xml(), '<emitter type="constant"/>')
+    code, out, error = command(words.format("scene.xml"))
+    assert (code, out.count("in the paper")) == (0, 0), error
+    assert re.findall("assumed, as in the paper: (.*)", error) == [defaults] * bool(defaults)
+    if words.startswith("run"):
+        page = Path("pixsim-out/scene/report.html").read_text(encoding="utf-8")
+        notes = json.loads(Path("pixsim-out/scene/score.json").read_bytes())["notes"]
+        assert (
+            page.count(defaults) == len([note for note in notes if defaults in note["text"]]) == 1
+        )
 
 
 EVERY_KIND = """<scene version="3.0.0">

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pixsim.report.outline import plan_document
 from pixsim.show.document import Document
 from pixsim.studies.lights import plan_of
-from pixsim.studies.prepare import loaded_scene
+from pixsim.studies.prepare import loaded_scene, warn_of_default_sensor
 from pixsim.viewer.setting import Run
 
 
@@ -20,5 +20,6 @@ def plan_answer(
     loaded = loaded_scene(
         scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor
     )
+    warn_of_default_sensor(loaded, [settings.camera], settings.pixel)
     plan = plan_of(loaded, loaded.camera(settings.camera, settings.lens), settings, full)
     return plan_document(plan, scene, settings)
