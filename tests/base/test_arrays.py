@@ -27,8 +27,7 @@ from pixsim.base.notes import MachineWarning
 )
 def test_empty_planes_row_stride_is_no_even_number_of_cache_lines(shape, dtype):
     planes = arrays.empty_planes(*shape, dtype=dtype)
-    assert planes.shape == shape
-    assert planes.dtype == dtype
+    assert (planes.shape, planes.dtype) == (shape, dtype)
     row_bytes = shape[-1] * planes.itemsize
     assert planes.strides[-2] == row_bytes + (64 if row_bytes % 128 == 0 else 0)
 

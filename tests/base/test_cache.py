@@ -61,8 +61,7 @@ def size_bytes() -> int:
 
 
 def test_load_or_compute_computes_once(folder):
-    assert cached(1.5) == ({"number": 1.5}, 1)
-    assert cached(2.5) == ({"number": 1.5}, 0)
+    assert (cached(1.5), cached(2.5)) == (({"number": 1.5}, 1), ({"number": 1.5}, 0))
     assert cached(2.5, "other") == ({"number": 2.5}, 1)
     assert [cached(math.nan, "nan")[1] for _ in range(2)] == [1, 0]
     assert names(folder / "kind") == ["key.json", "nan.json", "other.json"]
@@ -83,8 +82,7 @@ def damaged(content: bytes) -> Iterator[bytes]:
     """Truncated contents, contents with a bit flipped in every third byte, and others."""
     yield from (content[:length] for length in range(0, len(content), 37))
     for place in range(0, len(content), 3):
-        flipped = bytes([content[place] ^ (1 << place % 8)])
-        yield content[:place] + flipped + content[place + 1 :]
+        yield content[:place] + bytes([content[place] ^ (1 << place % 8)]) + content[place + 1 :]
     yield from (b"[" * 100_000, b'{"number": 1}', b"\xff\xfe\x80")
 
 
@@ -223,8 +221,7 @@ def test_limit_zero_disables_cache(folder, monkeypatch):
     cache.store_arrays("kind", "key", CONTENT)
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     assert cache.arrays("kind", "key") is None
-    assert cached(1.5) == ({"number": 1.5}, 1)
-    assert names(folder / "kind") == ["key.npz"]
+    assert (cached(1.5), names(folder / "kind")) == (({"number": 1.5}, 1), ["key.npz"])
 
 
 def test_kernels_are_used_only_from_a_folder_of_ones_own(folder, tmp_path):
@@ -291,8 +288,7 @@ def test_clear_removes_one_kind_or_all_but_kernels(folder):
     assert [entry.kind for entry in cache.entries()] == ["other"]
     cache.clear()
     assert (cache.entries(), kernel.exists()) == ([], True)
-    assert cache.clear("kernels") == len(b"kernel")
-    assert names(folder / "kernels") == ["notes.txt"]
+    assert (cache.clear("kernels"), names(folder / "kernels")) == (len(b"kernel"), ["notes.txt"])
 
 
 @pytest.mark.parametrize("how", ["clear", "clear kind", "trim"])

@@ -314,8 +314,7 @@ def test_files_of_study_settings_are_layers(
     name: str, files: list[str], expected: dict[str, object], tmp_path: Path
 ) -> None:
     """Later files win, also over a sensor's."""
-    paths = [written(tmp_path / f"{file}.toml", LAYERS[file]) for file in files]
-    study = load_study(name, paths)
+    study = load_study(name, [written(tmp_path / f"{file}.toml", LAYERS[file]) for file in files])
     assert {field: attrgetter(field)(study) for field in expected} == expected
     assert "camera.f_number" not in study.sources
 
@@ -448,8 +447,7 @@ def test_content_hash_depends_on_every_field():
 )
 def test_merge_later_values_take_precedence(base, over, merged):
     before = deepcopy(base)
-    assert merge(base, over) == merged
-    assert base == before
+    assert (merge(base, over), base) == (merged, before)
 
 
 @pytest.mark.parametrize(

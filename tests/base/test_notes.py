@@ -75,8 +75,7 @@ def test_collected_notes_inner_block_shares_list() -> None:
 @given(st.floats(1e-300, 1e300), st.floats(1e-300, 1e300))
 def test_told_apart_order_is_that_of_the_numbers(value: float, limit: float) -> None:
     value_text, limit_text = map(float, digits.distinct_texts(value, limit))
-    assert (value_text > limit_text) == (value > limit)
-    assert (value_text == limit_text) == (value == limit)
+    assert (value_text > limit_text, value_text == limit_text) == (value > limit, value == limit)
 
 
 def test_each_note_is_of_a_kind_and_has_the_values_of_its_template() -> None:
@@ -147,8 +146,7 @@ def test_value_and_error_end_at_the_same_decimal_and_are_right(value: float, err
     assert digits_of(shown) <= 4
     assert not shown.startswith("-") or digits_of(shown)  # no "-0.0"
     assume(error > 1.001 * digits.ROUNDING * abs(value))
-    limit = 0.5 * float(shown_error) * (1 + 1e-9) + 1e-12 * abs(value)
-    assert abs(float(shown) - value) <= limit
+    assert abs(float(shown) - value) <= 0.5 * float(shown_error) * (1 + 1e-9) + 1e-12 * abs(value)
     assert float(shown_error) >= error * (1 - 1 / 3 - 1e-9)  # 0.0149 is 0.01
 
 

@@ -50,8 +50,7 @@ def one_band(nm: float, width_nm: float, value: float, within_nm: float | None =
 
 def two_bands() -> SpectralImage:
     """Return bands with lines at 546 and 553 nm (1:3), and 596, 600 and 604 nm (1:2:1)."""
-    nodes_nm = [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]]
-    within = nodes_nm, [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
+    within = [[546.0, 553.0, 550.0], [596.0, 600.0, 604.0]], [[0.25, 0.75, 0.0], [0.25, 0.5, 0.25]]
     return SpectralImage([550.0, 600.0], 10.0, 1.0, data=np.ones((1, 1, 2)), within=within)
 
 
@@ -59,8 +58,7 @@ def lamp_lx(name: str) -> tuple[float, float]:
     """Return the illuminance of a CIE lamp by ten-nanometre bands, and by colour-science."""
     shape = colour.SpectralShape(365, 825, 1)
     lamp = colour.SDS_ILLUMINANTS[name].copy().align(shape, interpolator=colour.LinearInterpolator)
-    means = (lamp.values[:-1] + lamp.values[1:]) / 2
-    bands = means.reshape(1, 1, 46, 10).mean(axis=3)
+    bands = ((lamp.values[:-1] + lamp.values[1:]) / 2).reshape(1, 1, 46, 10).mean(axis=3)
     image = SpectralImage(np.arange(370.0, 821.0, 10.0), 10.0, 1.0, data=bands)
     return image.illuminance_lx()[0, 0], colour.colorimetry.luminous_flux(lamp)
 

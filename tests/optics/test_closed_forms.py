@@ -167,8 +167,7 @@ def test_catalogue_of_zemax_has_each_formula_of_its_manual(tmp_path, encoding: s
 def test_every_glass_of_the_table_is_physical() -> None:
     """Normal dispersion in every medium, and the Abbe number of optical media."""
     glasses = catalogue()
-    assert len(glasses) == 1638
-    assert {glass.formula for glass in glasses.values()} == {1, 2, 3}
+    assert (len(glasses), {glass.formula for glass in glasses.values()}) == (1638, {1, 2, 3})
     numbers = np.array([abbe(glass) for glass in glasses.values()])
     assert (numbers > [1.4, 15]).all(), numbers.min(axis=0)
     assert (numbers < [2.2, 100]).all(), numbers.max(axis=0)

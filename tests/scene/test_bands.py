@@ -210,8 +210,7 @@ def check_passes(every: Fit) -> None:
 @pytest.mark.parametrize("lit", [1, 2, 3, 4, 7, 8, 9, 12, 26, 46])
 def test_passes_over_bands_of_10_nm_are_disjoint(lit: int) -> None:
     """Each bright band has a pulse; passes have four from eight pulses on."""
-    edges = [366, 367, 373 + 10 * (lit - 1), 374 + 10 * (lit - 1)]
-    lamp = spectrum(edges, [0, 1, 1, 0])
+    lamp = spectrum([366, 367, 373 + 10 * (lit - 1), 374 + 10 * (lit - 1)], [0, 1, 1, 0])
     bands = place_bands([lamp], NONE, DETECTORS, 1.0)
     every = every_band(lamp, bands)
     check_pulses(every.pulses)
@@ -283,8 +282,7 @@ def test_reported_error_of_a_fit_is_the_real_one(
     assert result.spectra.min() < 0 or len(result.pulses) == 1
 
     factors = np.array([np.interp(FINE_NM, grid_nm(), row) for row in (np.ones(471), *surfaces)])
-    mixtures = RNG.dirichlet(np.full(len(factors), 0.3), 30)
-    light = np.vstack([factors, mixtures @ factors])
+    light = np.vstack([factors, RNG.dirichlet(np.full(len(factors), 0.3), 30) @ factors])
     pulses = [np.interp(FINE_NM, p.nodes_nm, p.values, left=0, right=0) for p in result.pulses]
     bands_light = light @ np.transpose(pulses) * STEP_NM @ result.spectra
     weights = np.array([detector.response(FINE_NM) for detector in DETECTORS])

@@ -61,8 +61,7 @@ def details(
 
 
 def saturation(**options: object) -> tuple[bool, float]:
-    readout = Readout.of(pixsim.derive(pixsim.Pixel(**options)))
-    line = decide_saturation(readout, 0.1)
+    line = decide_saturation(Readout.of(pixsim.derive(pixsim.Pixel(**options))), 0.1)
     return line.kept, line.bound_e
 
 

@@ -20,8 +20,7 @@ from pixsim.scene.scene import sensor_node
 
 # --- In view ---
 def box(x: float, y: float, z: float, half: tuple[float, float, float] = (0, 0, 0)) -> Body:
-    corners = np.array(list(product((-1.0, 1.0), repeat=3))) * half + [x, y, z]
-    return Body(0, corners, None)
+    return Body(0, np.array(list(product((-1.0, 1.0), repeat=3))) * half + [x, y, z], None)
 
 
 @pytest.mark.parametrize("z", [1e-4, 0.02, 0.5, 1.0, 1.5, 20.0])
@@ -401,12 +400,10 @@ def test_find_surfaces_rgb_is_the_published_model(variant: str, tmp_path: Path) 
     # other part than float32; it has the colour, to the 2 % that the model's table reaches.
     (rho,) = surfaces_of(tmp_path, bsdf("diffuse", RGB), variant=variant).spectra
     x = (2 * rho - 1) / (2 * np.sqrt(rho * (1 - rho)))
-    parabola = np.polynomial.Polynomial.fit(NM, x, 2)
-    np.testing.assert_allclose(parabola(NM), x, atol=1e-4 * np.ptp(x))
+    np.testing.assert_allclose(np.polynomial.Polynomial.fit(NM, x, 2)(NM), x, atol=1e-4 * np.ptp(x))
     observer = colour_matching(NM)
     xyz = (rho * d65(NM)) @ observer / (d65(NM) @ observer[:, 1])
-    rgb = np.linalg.solve(XYZ_OF_SRGB, xyz)
-    np.testing.assert_allclose(rgb, [0.2, 0.5, 0.1], atol=0.01)
+    np.testing.assert_allclose(np.linalg.solve(XYZ_OF_SRGB, xyz), [0.2, 0.5, 0.1], atol=0.01)
 
 
 # IEC 61966-2-1: columns are the XYZ of red, green and blue

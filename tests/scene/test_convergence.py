@@ -90,8 +90,7 @@ class Noisy:
         spp = int(4 * LEVEL_FACTOR ** max(0, level))
         self.levels.append(level)
         rng = np.random.default_rng([index, max(0, level)])
-        noise = rng.standard_normal((32, 32, 1)) * 0.1 / np.sqrt(spp)
-        return [0.5 * (1 + noise)], spp
+        return [0.5 * (1 + rng.standard_normal((32, 32, 1)) * 0.1 / np.sqrt(spp))], spp
 
 
 # --- The reported noise is the real one ---
@@ -121,8 +120,7 @@ def test_noise_of_known_noise_is_unbiased(target: float, monkeypatch: pytest.Mon
     power = (mean_e**2 / sensor_variance_e2(mean_e, pixel, exposure)).mean()
     # 1024 cells: 2.2 % of noise, 5σ.
     expected = pytest.approx([relative * math.sqrt(power), relative], rel=0.11)
-    assert [noise.fraction, noise.relative] == expected
-    assert (max(renders.levels) > 1) == (target < LOOSE)
+    assert ([noise.fraction, noise.relative], max(renders.levels) > 1) == (expected, target < LOOSE)
 
 
 def test_render_until_worst_pixel_counts() -> None:
@@ -333,8 +331,7 @@ def light(**settings: Any) -> tuple[bytes, str]:
     """Return the light of a run, bit for bit, and its header."""
     run_settings = Run.model_validate(merge(TABLES, settings))
     with warnings.catch_warnings(action="ignore"):
-        prepared = prepare("csf", run_settings, variant=VARIANT)
-        image = render_run(prepared, no_stage).irradiance
+        image = render_run(prepare("csf", run_settings, variant=VARIANT), no_stage).irradiance
     return image.planes.tobytes(), repr(image.header)
 
 
@@ -348,8 +345,7 @@ def test_light_is_equal_without_and_with_a_cache_and_a_damaged_one(
     path.write_bytes(content)
     assert light() == light() == cold
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
-    assert light() == cold
-    assert rendered == [0, 1, 1, 0, 1]
+    assert (light(), rendered) == (cold, [0, 1, 1, 0, 1])
 
 
 @pytest.fixture(scope="module")

@@ -75,8 +75,7 @@ def through(
 ):
     loaded = pixsim.load_scene(scene, resolution=resolution, variant=VARIANT)
     die = CameraOptions(die_mm=die_mm, **({"object_distance_m": distance_m} if distance_m else {}))
-    camera = loaded.camera(die, LensOptions(file=lens, **options))
-    return loaded, camera
+    return loaded, loaded.camera(die, LensOptions(file=lens, **options))
 
 
 @pytest.fixture(scope="module")
@@ -184,8 +183,7 @@ def test_plan_says_that_the_error_out_of_focus_is_not_known(
     scene = pixsim.load_scene(deep) if is_deep else pixsim.load_scene("csf", resolution=32)
     camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file="singlet"))
     plan = make_render_plan(scene, camera, PIXEL, full=full)
-    subjects = [line.subject for line in plan.decisions]
-    assert ("defocus of the lens" in subjects) == is_deep
+    assert ("defocus of the lens" in [line.subject for line in plan.decisions]) == is_deep
     assert any("its error is not known" in note for note in plan.warnings) == is_deep
 
 

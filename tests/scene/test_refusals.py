@@ -323,8 +323,7 @@ def with_sky(folder: Path) -> Path:
 
 
 def drawn(**parameters: object) -> Any:
-    scene = load("target", **parameters).with_resolution(128)
-    return make_render_plan(scene, exact=True)
+    return make_render_plan(load("target", **parameters).with_resolution(128), exact=True)
 
 
 def failing(text: str, cause: str) -> None:

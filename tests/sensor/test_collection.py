@@ -114,8 +114,7 @@ def test_flat_field_is_conserved(name: str) -> None:
     imaged = chain(physics(stack=STACKS[name]), WIDE)
     flat = imaged.signal_e_per_s / imaged.development.flat_field
     np.testing.assert_allclose(flat, flat.mean(), rtol=1e-12)
-    shading = np.ptp(imaged.development.flat_field)
-    assert shading > (1e-2 if "shift" not in STACKS[name] else 1e-6)
+    assert np.ptp(imaged.development.flat_field) > (1e-2 if "shift" not in STACKS[name] else 1e-6)
     plain = chain(physics(), WIDE)
     white = plain.white_e_per_s / plain.signal_e_per_s.mean()
     assert imaged.white_e_per_s / flat.mean() == pytest.approx(white, rel=1e-11)
@@ -213,8 +212,7 @@ def of_lens(pixel: PixelPhysics) -> float:
 def measured(pitch_um: float, at_um: float | None = None, **over: Any) -> float:
     """Collected fraction of a pixel of the process, whose efficiency was measured at a pitch."""
     process = LENSED.model_copy(update={"quantum_efficiency_pitch_um": at_um})
-    pixel = physics(process, pitch_um=pitch_um, fill_factor=0.4, **over)
-    return collected_fraction(pixel, EMVA)
+    return collected_fraction(physics(process, pitch_um=pitch_um, fill_factor=0.4, **over), EMVA)
 
 
 PINNED = {"4t-bsi": 1.4, "4t-fsi": 6.0}  # pitches of the sensors behind the packaged 4T processes
@@ -489,8 +487,7 @@ def test_white_of_a_colour_sensor_is_what_its_channels_collect_of_uniform_light(
     np.testing.assert_allclose(white.white_e_per_s, mixing_um2 @ [1.0, 2.0, 4.0], rtol=1e-12)
     relative = white.relative((8 * layout.planes, 12))
     assert relative[4 * layout.planes, 6] == pytest.approx(1.0, abs=0.02)
-    shading = shading_of(white, relative.shape, Correction())
-    np.testing.assert_array_equal(shading, relative)
+    np.testing.assert_array_equal(shading_of(white, relative.shape, Correction()), relative)
     assert shading_of(white, relative.shape, Correction(flat_frames=1)) is None
 
 
@@ -629,8 +626,7 @@ def test_neighbours_get_what_a_pixel_loses(seed: int, cell: tuple[str, ...]) -> 
     ]
     np.testing.assert_allclose(sum(parts), whole, atol=1e-14)
     stacked = collected_signal(light, list(shares), Layout(("RGB",), True))
-    planes = np.split(light, 3)
-    alone = [share_with_neighbours(*pair) for pair in zip(planes, shares, strict=True)]
+    alone = [share_with_neighbours(*pair) for pair in zip(np.split(light, 3), shares, strict=True)]
     np.testing.assert_allclose(stacked, np.concatenate(alone), rtol=1e-14)
 
 

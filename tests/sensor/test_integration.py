@@ -224,8 +224,7 @@ def test_hard_edge_does_not_ring(contrast: float, side_um: float) -> None:
     integrals = integrate_axis(line, 1.0, low, low + side_um, 1)
     assert integrals.min() >= 0
     rounding = 40 * 80 * 2.2e-16
-    dark = integrals[:, low > 41]
-    np.testing.assert_allclose(dark, side_um / contrast, rtol=2e-5, atol=rounding)
+    np.testing.assert_allclose(integrals[:, low > 41], side_um / contrast, rtol=2e-5, atol=rounding)
     np.testing.assert_allclose(integrals[:, low + side_um < 39], side_um, rtol=2e-5)
 
 

@@ -100,8 +100,7 @@ def transfer(place_um: float, turn_deg: float, frequency_cy_per_mm: Array) -> Ar
     """
     camera, _, tiling = triplet()
     light = channel_wavefronts(camera, np.array([NM]), np.ones(1), tiling)
-    window = psf_window(light, place_um, 0.0, 0.25, 801)
-    psf = periodic_psf(light, place_um, 0.0, 0.25, window)
+    psf = periodic_psf(light, place_um, 0.0, 0.25, psf_window(light, place_um, 0.0, 0.25, 801))
     position_mm = np.fft.fftfreq(len(psf), 1 / len(psf)) * 0.25e-3
     turn = math.radians(turn_deg)
     fx = frequency_cy_per_mm * math.cos(turn)
@@ -291,8 +290,7 @@ def test_each_band_has_its_own_share(tmp_path: Path) -> None:
     image = hole((450.0, 550.0, 650.0))
     share = rate(image, camera)[48, 48] / rate(image, Camera())[0, 0] / (1 - SHARE)
     photons = np.array([450.0, 2 * 550, 3 * 650])
-    expected = photons @ [0.01, 0.02, 0.03] / photons.sum()
-    assert share == pytest.approx(expected, rel=1e-6)
+    assert share == pytest.approx(photons @ [0.01, 0.02, 0.03] / photons.sum(), rel=1e-6)
 
 
 def test_parts_and_margins_have_the_veil_of_the_whole_field() -> None:

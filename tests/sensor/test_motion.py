@@ -71,8 +71,7 @@ def test_contrast_of_a_wave_is_the_mean_of_two_sincs(
     samples = wave(shape, half_periods)
     down, across = np.array(half_periods) / 2 / shape * path_um
     ratio = contrast(moved(samples, ImageMotion(path_um)), moved(samples, NO_IMAGE_MOTION))
-    expected = (np.sinc(down + across) + np.sinc(down - across)) / 2
-    assert ratio == pytest.approx(expected, abs=1e-6)
+    assert ratio == pytest.approx((np.sinc(down + across) + np.sinc(down - across)) / 2, abs=1e-6)
 
 
 @pytest.mark.parametrize(

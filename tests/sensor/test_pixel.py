@@ -282,8 +282,7 @@ def test_every_number_of_a_file_has_source_and_confidence(name: str) -> None:
     """And what is derived or assumed says how far it may be wrong."""
     numbers = read_toml(packaged("data/technologies")[name])
     del numbers["name"]
-    is_pinned = name.startswith("4t")
-    well = {"full_well_e_per_um2"} if is_pinned else set(Junction.model_fields)
+    well = {"full_well_e_per_um2"} if name.startswith("4t") else set(Junction.model_fields)
     assert set(numbers) - OPTIONAL == set(Technology.model_fields) - OF_RECORD - OPTIONAL | well
     for key, entry in numbers.items():
         assert set(entry) - {"range", "distribution"} == {"value", "confidence", "source"}, key
@@ -342,11 +341,9 @@ def test_damaged_files_are_refused(written: str, instead: str, words: str, tmp_p
 def test_file_of_a_user_may_state_distributions_and_another_name(tmp_path: Path) -> None:
     lognormal = TEXT.replace("[0.1, 0.6]", '[0.1, 0.6]\ndistribution = "lognormal"')
     technology = load(tmp_path, lognormal.replace('"0.35um"', '"mine"'))
-    assert technology.name == "mine"
-    assert technology.distributions == {"dsnu": "lognormal"}
+    assert (technology.name, technology.distributions) == ("mine", {"dsnu": "lognormal"})
     assert technology.ranges == T035.ranges
-    changed = technology.with_numbers({"dsnu": 0.2}, "here")
-    assert changed.distributions == technology.distributions
+    assert technology.with_numbers({"dsnu": 0.2}, "here").distributions == technology.distributions
 
 
 # Mismatch of a layout in place of PRNU and offsets, and numbers that a pixel may state too.
@@ -455,8 +452,7 @@ def test_share_beyond_a_table_is_that_of_its_last_value(
 def test_notes_appear_when_they_should(
     physics: PixelPhysics, image: SpectralImage, words: str
 ) -> None:
-    camera = Camera(die_mm=0.04, object_distance_m=1e3, f_number=1.0)
-    notes = pixel_notes(physics, camera, image)
+    notes = pixel_notes(physics, Camera(die_mm=0.04, object_distance_m=1e3, f_number=1.0), image)
     assert [note for note in notes if words in note] if words else not notes
 
 
@@ -542,8 +538,7 @@ GRID = np.arange(400.0, 701.0, 10.0)
 
 def bell(centre_nm: float, peak: float = 0.5) -> list[list[float]]:
     """A curve of a channel."""
-    values = peak * np.exp(-(((GRID - centre_nm) / 40) ** 2))
-    return np.stack([GRID, values], axis=1).tolist()
+    return np.stack([GRID, peak * np.exp(-(((GRID - centre_nm) / 40) ** 2))], axis=1).tolist()
 
 
 CURVES = {"R": bell(600), "G": bell(540), "B": bell(460), "W": bell(550, 0.9), "C": bell(520, 0.8)}
@@ -715,8 +710,7 @@ def test_two_cameras_have_lost_the_ratio_of_their_channels() -> None:
     assert separate == {"ARRI_D21", "Nikon_D5100"}
     for name in separate:
         assert camera_sensitivities(name)[1].max(axis=0).tolist() == [1.0, 1.0, 1.0]
-    described = {entry.name for entry in cameras() if "channels lost" in entry.description}
-    assert described == separate
+    assert {entry.name for entry in cameras() if "channels lost" in entry.description} == separate
 
 
 def test_typical_filters_peak_where_measured_cameras_do() -> None:
@@ -731,8 +725,7 @@ def test_typical_filters_peak_where_measured_cameras_do() -> None:
         np.testing.assert_allclose(entry.peak_nm[1:3], medians[1:], atol=15)
         assert medians[0] <= entry.peak_nm[0] <= medians[0] + 45
         nm, values = camera_sensitivities(entry.name)
-        assert values.shape == (nm.size, len(camera_channels(entry.name)))
-        assert values.max() == 1
+        assert (values.shape, values.max()) == ((nm.size, len(camera_channels(entry.name))), 1)
         infrared = values[nm == 900][0]
         assert infrared.max() < 1.25 * infrared.min()
 
@@ -754,5 +747,4 @@ def test_deep_silicon_has_more_infrared_and_a_dead_layer_less_blue(
 def test_page_lists_every_camera() -> None:
     page = (Path(__file__).parents[2] / "docs/colour.md").read_text(encoding="utf-8")
     table = page.partition("## The cameras")[2].partition("| maker")[2]
-    names = re.findall(r"`(\w[\w-]+_[\w-]+)`", table)
-    assert names == [entry.name for entry in cameras()]
+    assert re.findall(r"`(\w[\w-]+_[\w-]+)`", table) == [entry.name for entry in cameras()]

@@ -72,13 +72,10 @@ def check_frame(name: str, dn: np.ndarray, mean_dn: float, variance_dn2: float) 
     check_mean(f"{name}: variance", ((dn - mean_dn) ** 2).mean(axis=0), variance_dn2)
 
 
-def frames(readout: Readout, signal_e: float, count: int = 1) -> list[np.ndarray]:
-    """Frames of one sensor under uniform light."""
+def frame_of(readout: Readout, signal_e: float) -> np.ndarray:
+    """A frame under uniform light."""
     sensor = sensors.sample_sensor(readout, SHAPE, seeded(11))
-    return [
-        sensors.read_out(np.full(SHAPE, signal_e), TIME_S, sensor, seeded(21 + number))
-        for number in range(count)
-    ]
+    return sensors.read_out(np.full(SHAPE, signal_e), TIME_S, sensor, seeded(21))
 
 
 # Options and signal in e-. Each noise is the largest part of its variance, or 12 % of it
@@ -106,21 +103,8 @@ def test_frames_have_the_mean_and_variance_of_the_closed_forms(name: str) -> Non
     variance_dn2 = float(sensors.frame_variance_dn2(signal_e, TIME_S, readout))
     clean_dn2 = float(sensors.frame_variance_dn2(signal_e, TIME_S, reading()))
     assert not options or variance_dn2 > 1.1 * clean_dn2  # else both may lack the noise
-    (frame,) = frames(readout, signal_e)
+    frame = frame_of(readout, signal_e)
     check_frame(name, frame, mean_dn, variance_dn2)
-
-
-def test_fixed_pattern_is_the_same_in_every_frame() -> None:
-    """A difference has twice the temporal variance and nothing else; a mean of two keeps the whole
-    pattern.
-    """
-    readout = reading(**ALL)
-    first, second = frames(readout, 15_000, count=2)
-    mean_dn = float(sensors.frame_mean_dn(15_000, TIME_S, readout))
-    temporal = float(sensors.frame_variance_dn2(15_000, TIME_S, readout, fixed_pattern=False))
-    whole = float(sensors.frame_variance_dn2(15_000, TIME_S, readout))
-    check_frame("difference", first - second, 0.0, 2 * temporal)
-    check_frame("mean of two", (first + second) / 2, mean_dn, whole - temporal / 2)
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])
@@ -207,9 +191,8 @@ def test_well_clips_before_read_noise() -> None:
     min(n, 0) of a normal n has the mean -σ/√(2π).
     """
     readout = reading(read_noise_e=100, bits=16, black_level_dn=30_000)
-    (frame,) = frames(readout, 1e6)
-    mean_dn = 2**16 - 1 - 100 * readout.dn_per_e / math.sqrt(2 * math.pi)
-    check_mean("clipped", frame, mean_dn)
+    frame = frame_of(readout, 1e6)
+    check_mean("clipped", frame, 2**16 - 1 - 100 * readout.dn_per_e / math.sqrt(2 * math.pi))
     assert frame.max() == 2**16 - 1
 
 
@@ -301,8 +284,7 @@ def test_seeds_set_the_fixed_pattern_and_the_noise() -> None:
 def test_sensor_has_the_readout_of_its_pixel_and_the_shape_of_the_die() -> None:
     pixel = Pixel(pitch_um=84.8, black_level_dn=40.0)
     sensor = sensors.make_sensor(pixel, Camera(), aspect=2.0)
-    assert sensor.readout == Readout.of(derive(pixel))
-    assert sensor.shape == (16, 32)
+    assert (sensor.readout, sensor.shape) == (Readout.of(derive(pixel)), (16, 32))
 
 
 # --- Dark currents of pixels
@@ -549,8 +531,7 @@ def test_full_well_inverts_the_saturation_capacity(
 ) -> None:
     well_e = full_well_for_e(capacity_e, adc_range_e, *noise)
     assert well_e > capacity_e
-    inverse_e = saturation_capacity_e(well_e, adc_range_e, *noise)
-    assert inverse_e == pytest.approx(capacity_e, rel=1e-4)
+    assert saturation_capacity_e(well_e, adc_range_e, *noise) == pytest.approx(capacity_e, rel=1e-4)
 
 
 PIXEL = pixsim.Pixel(

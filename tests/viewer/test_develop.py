@@ -563,8 +563,7 @@ def test_noise_of_a_dark_frame_is_known_to_the_filters() -> None:
     differences_e = np.diff([frame.estimate_e for frame in frames], axis=0)
     white_e2 = white_noise_e2(chain.readout, SHORT_S, chain.imaging.correction)
     expected_e2 = white_e2 + chain.readout.dark_current_e_per_s * SHORT_S
-    variance_e2 = np.var(differences_e, axis=(1, 2)).mean() / 2
-    assert variance_e2 == pytest.approx(expected_e2, rel=0.0125)
+    assert np.var(differences_e, axis=(1, 2)).mean() / 2 == pytest.approx(expected_e2, rel=0.0125)
 
 
 # --- sharpening and tone
@@ -732,8 +731,7 @@ def test_covariance_behind_the_bound_is_that_of_frames(
     expected = noise_covariance(raw, np.full((1, len(chain.whites_e_per_s)), 0.5), None)[0]
     covariance = np.zeros_like(expected)
     for number in range(40):
-        frame = uniform.capture("through", number)
-        noise_e = frame.estimate_e - uniform.signal_e_per_s * SHORT_S
+        noise_e = uniform.capture("through", number).estimate_e - uniform.signal_e_per_s * SHORT_S
         planes = np.stack(developed_planes(replace(raw, frame=replace(still, corrected_e=noise_e))))
         covariance += np.einsum("cyx,dyx->cd", planes, planes) / planes[0].size / 40
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))

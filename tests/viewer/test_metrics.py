@@ -973,8 +973,7 @@ def edge(angle_deg: float, rise: float) -> np.ndarray:
     """Return an edge behind a Gaussian blur of 0.5 px, clockwise with row 0 on top."""
     angle = math.radians(angle_deg)
     place = np.arange(96) - 47.5
-    distance = math.cos(angle) * place + math.sin(angle) * place[:, None]
-    return 0.2 + rise * ndtr(distance / 0.5)
+    return 0.2 + rise * ndtr((math.cos(angle) * place + math.sin(angle) * place[:, None]) / 0.5)
 
 
 def snr_of_dot(lux: float) -> float:

@@ -54,8 +54,7 @@ COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_eff
 def chart(count: int, **header: Any) -> SpectralImage:
     """Return the CSF chart under D65, at 1000 cd/m² behind f/4 or so."""
     place = (np.arange(count, dtype=np.float32) + 0.5) / count
-    picture = csf_value(place, place[:, None]).astype(np.float32)
-    factors = 6e-6 * d65(NM), picture[None]
+    factors = 6e-6 * d65(NM), csf_value(place, place[:, None]).astype(np.float32)[None]
     header = {"luminance_cd_per_m2": 1000.0} | header
     return SpectralImage(NM, 10.0, 2713.6 / count, factors=factors, header=header)
 
