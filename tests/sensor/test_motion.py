@@ -46,21 +46,28 @@ def contrast(pixels: np.ndarray, still: np.ndarray) -> float:
 
 # Paths from a thousandth of a pixel to a thousand, along one axis, slanted, along a diagonal, and
 # slanted by rounding only; frequencies up to 0.3 cycles a pixel.
+PATHS_UM = [
+    (2e-3, 0.0),
+    (13.3, 0.0),
+    (0.0, 0.7),
+    (0.0, 2000.0),
+    (2e-3, 1e-3),
+    (17.0, -9.0),
+    (12.0, 12.0),
+    (12.0, 12.0 + 1e-9),
+    (5.0, 1e-13),
+]
+HALF_PERIODS = [(3.0, 0.0), (0.0, 240.0), (30.0, 24.0), (160.0, 120.0)]
+
+
 @pytest.mark.parametrize(
-    "path_um",
+    ("path_um", "half_periods"),
     [
-        (2e-3, 0.0),
-        (13.3, 0.0),
-        (0.0, 0.7),
-        (0.0, 2000.0),
-        (2e-3, 1e-3),
-        (17.0, -9.0),
-        (12.0, 12.0),
-        (12.0, 12.0 + 1e-9),
-        (5.0, 1e-13),
+        (path_um, HALF_PERIODS[(number + other) % 4])
+        for number, path_um in enumerate(PATHS_UM)
+        for other in (0, 2)
     ],
 )
-@pytest.mark.parametrize("half_periods", [(3.0, 0.0), (0.0, 240.0), (30.0, 24.0), (160.0, 120.0)])
 def test_contrast_of_a_wave_is_the_mean_of_two_sincs(
     path_um: tuple[float, float], half_periods: tuple[float, float]
 ) -> None:
