@@ -110,8 +110,8 @@ NOTES = {
     # Automatic exposure gives a sensor that loses light more time.
     "filled_alike": _NoteKind(
         "automatic exposure fills all alike, the brightest pixel to {percent:.0f} % of the full"
-        " well, in {shortest} to {longest}: a sensor that loses light has more time, not more"
-        " noise. For equal exposure: {setting}"
+        " well, in {shortest} to {longest}: a lower quantum efficiency costs time, not noise. For"
+        " equal exposure: {setting}"
     ),
     # ΔE is of codes, contrast, saturation or missing light, not of noise and blur.
     "cause": _NoteKind("{words}: {hint}", True),
