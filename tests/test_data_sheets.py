@@ -301,7 +301,7 @@ def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) 
 OTHER: dict[str, Any] = SHEET | {"pitch_um": 20.0, "full_well_e": 30000.0, "bits": 14}
 # As many samples, whichever sensor comes first.
 ONE_RENDER: dict[str, Any] = {
-    "pitch": {"min_um": 10.0, "max_um": 60.0, "values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}, "render_noise": 1000.0,
+    "pitch": {"min_um": 10.0, "max_um": 60.0, "values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}, "tolerance_delta_e": 100.0,
     "scene": {"parameters": {"max_lp_per_mm": 20.0}},
 }  # fmt: skip
 

@@ -307,7 +307,7 @@ class Session:
                 self._store_light(RenderedRun(job, case.picture))
             elif job.request.plan.samples.exact:
                 plan = job.request.plan
-                image, _ = job.request.render(job.request.first, plan)
+                image = job.request.render(job.request.first, plan).image
                 self._store_light(RenderedRun(job, image, None, plan))
             else:
                 return None

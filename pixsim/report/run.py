@@ -634,11 +634,13 @@ def _light_words(result: RunResult) -> list[str]:
     if result.film:
         words.append(film_words(result.film))
     if noise:
-        words.append(
-            f"render noise {noise.fraction:.2g} of the sensor's noise"
-            if noise.fraction
-            else "no render noise"
-        )
+        noise_words = "no render noise"
+        if noise.fraction:
+            noise_words = f"render noise {noise.fraction:.2g} of the sensor's noise"
+            bias_delta_e = noise.bias.get(DELTA_E.columns[0], 0.0)
+            if float(f"{bias_delta_e:.4f}"):
+                noise_words += f", whose {bias_delta_e:.2g} ΔE are taken off"
+        words.append(noise_words)
     if "scene_hash" in result.irradiance.header:
         unmeasured = {
             "the film's error": result.light.film_delta_e,

@@ -20,6 +20,7 @@ from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause, FrameScore, LightError, Score, exceeded
 from pixsim.viewer.setting import Setting
 
+_SHORT_ERROR_WORDS = {"film_delta_e": "film", "noise_delta_e": "render noise"}
 _ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
 _PANEL_IN = 3.1  # width of each picture of the figure
 
@@ -125,8 +126,8 @@ def shown_mean(
     half_delta_e: float = 0.0,
     scatter_delta_e: float = 0.0,
 ) -> str:
-    """Return a mean ΔE as text, with the film's error if that is above its limit, and with one
-    warning.
+    """Return a mean ΔE as text, with the errors of its light that are above their limits, and with
+    one warning.
 
     The warning is the largest cause; or that the light has not converged, where an error of it is
     known to be larger.
@@ -144,17 +145,20 @@ def shown_mean(
     '76.5 (all codes are equal) ± 3.6 (film)'
     """
     exceeded_errors = exceeded(error, limit)
-    film_delta_e = exceeded_errors.get("film_delta_e", 0.0)
+    light_delta_e = sum(exceeded_errors.values())
 
     uncertainty = ""
     value = (
         within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else estimate(mean_delta_e)
     )
-    if math.isinf(film_delta_e):
-        uncertainty = " ± an unknown error (film)"
-    elif film_delta_e or half_delta_e:
-        value, _, uncertainty = with_error(mean_delta_e, half_delta_e + film_delta_e).partition(" ")
-        parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
+    names = [_SHORT_ERROR_WORDS[name] for name in exceeded_errors]
+    if math.isinf(light_delta_e):
+        uncertainty = f" ± an unknown error ({' and '.join(names)})"
+    elif light_delta_e or half_delta_e:
+        value, _, uncertainty = with_error(mean_delta_e, half_delta_e + light_delta_e).partition(
+            " "
+        )
+        parts = ["95 %"] * (half_delta_e > 0) + names
         uncertainty = f" {uncertainty} ({' and '.join(parts)})"
 
     largest_finite_delta_e = max(filter(math.isfinite, exceeded_errors.values()), default=0.0)

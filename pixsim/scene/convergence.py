@@ -1,15 +1,20 @@
-"""Render until the render noise is small compared with the sensor noise, and report what
-remains.
+"""Render until the noise of the render changes no answer by more than its tolerance, and report
+what remains.
+
+The ideal picture and the sensor see the same light, so that the noise of a render is detail of the
+scene to both. What it does to mean ΔE, or to another metric, is a bias that falls with the number
+of samples, and a scatter. Both follow from the answers of four independent quarters of the render,
+of its two halves, and of the whole.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,52 +38,172 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, with_metered_gain
 from pixsim.sensor.technology import load_technology
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.setting import Effort
 
-RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation it raises by 2 %
+# Target of the noise over the sensor's, where no answer depends on the light.
+RENDER_NOISE = 0.2
 _MAX_RUNS = 1 << 12
 _MAX_SPP = 1024  # samples per film cell of one render
-PAIR = 2
-_PAIRS_A_LEVEL = 2
+QUARTERS = 4
+# Of four quarters each: a level has four times the samples of the one before.
+_GROUPS_A_LEVEL = 4
 # With a time limit: a picture of a quarter of the samples comes sooner, and more are added to it.
 _FIRST_LEVEL = -1
-# Times the samples of the first pair: what a render is expected to take before its noise is known.
+# Times the samples of the first group: what a render is expected to take before its noise is known.
 UNKNOWN = 8.0
-# Beyond a time limit, for the first pair, without which there is no picture: a share of it, and s.
+# Beyond a time limit, for the first group, without which there is no picture: a share of it, and s.
 _GRACE = 0.5
 _GRACE_S = 1.5
+# Standard errors of an answer in its error: Student's t of four quarters, 90 % on both sides.
+_STANDARD_ERRORS = 2.35
+_MIN_ORDER = 0.5  # of the bias in the number of samples: of noise that is larger than the picture
+_MAX_ORDER = 1.0  # and of small noise
+# Answers are measured again at this share of the samples that they are expected to need, and at
+# the latest after so many times the samples.
+_EARLY = 0.7
+_MAX_GROWTH = 4.0
 _EndedBy = Literal["target", "samples", "max_seconds", "runs"]
+
+AnswerKey = tuple[str, float]  # a metric's first column, and the pixel's pitch in µm
+
+
+class Answers(Protocol):
+    """Numbers that are asked of a light."""
+
+    @property
+    def content(self) -> Any:
+        """All that the numbers and their tolerances depend on, for a hash."""
+
+    def values(
+        self, lights: Sequence[tuple[SpectralImage, SpectralImage | None]]
+    ) -> list[dict[AnswerKey, Array]]:
+        """Return the numbers of several renders of one scene, with and without its target, each
+        as the numbers of some parts of the picture, (parts,), whose mean it is.
+        """
+
+    def tolerance(self, key: AnswerKey, value: float) -> float:
+        """Return the largest error of a number that is tolerated."""
+
+    @property
+    def are_corrected(self) -> bool:
+        """Whether the bias by the noise is taken off the numbers."""
+
+
+@dataclass(frozen=True)
+class AnswerError:
+    """What the noise of a render does to one number.
+
+    bias : of the number, with its sign
+    bias_error : of the bias
+    deviation : standard deviation of the number
+    is_corrected : whether the bias is taken off the number
+    tolerance : for `error`
+    """
+
+    bias: float
+    bias_error: float
+    deviation: float
+    is_corrected: bool = False
+    tolerance: float = math.inf
+
+    @classmethod
+    def of(cls, value: Array, halves: Array, quarters: Array) -> AnswerError:
+        """Return the error of the number of a render from those of its halves and quarters.
+
+        value, halves, quarters : in parts of the picture, (parts,), (2, parts), (4, parts)
+
+        The bias falls as samples^-p (Richardson's extrapolation). Its order p is measured between
+        quarters, halves and the whole, from 1/2, where noise is larger than the picture's own
+        detail, to 1. What the bias would be with p = 1, from either step, is its error. Four
+        quarters may be alike by chance, but hardly in all parts of the picture: their scatter is
+        the larger of that of the whole and that of parts whose noise is independent.
+        """
+        near = float(np.mean(halves) - np.mean(value))
+        far = float(np.mean(quarters)) - float(np.mean(halves))
+        order = _MAX_ORDER
+        if near * far > 0:
+            order = min(max(math.log2(far / near), _MIN_ORDER), _MAX_ORDER)
+        bias = near / (2**order - 1)
+        of_whole = float(np.var(quarters.mean(axis=1), ddof=1))
+        of_parts = float(np.var(quarters, axis=0, ddof=1).mean()) / quarters.shape[1]
+        return cls(
+            bias=bias,
+            bias_error=max(abs(bias - near), abs(far / 2 - near)),
+            deviation=math.sqrt(max(of_whole, of_parts) / QUARTERS),
+        )
+
+    @classmethod
+    def of_halves(cls, value: float, halves: Sequence[float]) -> AnswerError:
+        """Return the error of the number of a render from those of its two halves alone."""
+        return cls(
+            bias=float(np.mean(halves)) - value,
+            bias_error=0.0,
+            deviation=float(np.std(halves, ddof=1)) / math.sqrt(len(halves)),
+        )
+
+    @property
+    def error(self) -> float:
+        """Largest error that is to be expected."""
+        return self._systematic + _STANDARD_ERRORS * self.deviation
+
+    @property
+    def _systematic(self) -> float:
+        return self.bias_error if self.is_corrected else abs(self.bias) + self.bias_error
+
+    @property
+    def samples_factor(self) -> float:
+        """How many times the samples bring the error to its tolerance: the bias falls with their
+        number, the deviation with its root.
+        """
+        if self.tolerance == math.inf:
+            return 0.0
+        if not self.tolerance > 0:
+            return math.inf
+        scatter = _STANDARD_ERRORS * self.deviation
+        root = math.sqrt(scatter**2 + 4 * self.tolerance * self._systematic)
+        return ((scatter + root) / (2 * self.tolerance)) ** 2
 
 
 @dataclass(frozen=True)
 class RenderNoise:
-    """Noise of the mean of independent renders, estimated from two halves of them.
+    """Noise of the mean of independent renders, estimated from four quarters of them.
 
     fraction : RMS over pixels of the standard error of the mean electrons over the sensor's
         temporal noise
     relative : RMS of the standard error over the RMS of the mean electrons
-    target : limit for `fraction`
+    target : limit for `fraction`, or None without one
     runs : number of renders, each with its own seed
     ended_by : why rendering ended
-    delta_e : half of the mean ΔE between noise-free pictures of the two halves, a limit of the
-        error of a mean ΔE, or None if it was not measured
-    tolerance_delta_e : limit for `delta_e`, which takes the place of `target`. None means none
+    delta_e, tolerance_delta_e : error of mean ΔE by the noise, and the largest tolerated error, of
+        the pixel farthest from it; None where nobody asks for ΔE, or any error is tolerated
+    metrics : error of each other metric that is asked, and its largest tolerated error
+    bias : of the first number of each metric by the noise, where results are corrected by it; none
+        where several pixels see the light
     """
 
     fraction: float
     relative: float
-    target: float
+    target: float | None
     runs: int
     ended_by: _EndedBy
     delta_e: float | None = None
     tolerance_delta_e: float | None = None
+    metrics: dict[str, tuple[float, float | None]] = field(default_factory=dict)
+    bias: dict[str, float] = field(default_factory=dict)
 
-    @property
-    def excess(self) -> float:
-        """The noise over its limit."""
-        if self.delta_e is None or self.tolerance_delta_e is None:
-            return self.fraction / self.target
-        return self.delta_e / self.tolerance_delta_e
+
+@dataclass(frozen=True)
+class Rendered:
+    """A render: the light with and without its target, and its noise.
+
+    halves : independent ones of the light, of which it is the mean; none of a picture without noise
+    """
+
+    image: SpectralImage
+    noise: RenderNoise
+    background: SpectralImage | None = None
+    halves: tuple[SpectralImage, ...] = ()
 
 
 def render_until(
@@ -89,99 +214,220 @@ def render_until(
     exposure: Exposure,
     seed: int = 0,
     *,
-    render_noise: float = RENDER_NOISE,
+    render_noise: float | None = None,
     max_seconds: float | None = None,
-    tolerance_delta_e: float | None = None,
-    delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None = None,
+    answers: Answers | None = None,
+    background: tuple[Scene, Plan] | None = None,
     progress: Progress | None = None,
     use_cache: bool = False,
-) -> tuple[SpectralImage, RenderNoise]:
-    """Return the mean of as many independent renders as the sensor noise requires, at least two,
-    and its noise.
+) -> Rendered:
+    """Return the mean of as many independent renders as the answers require, at least four, and its
+    noise.
 
     Parameters
     ----------
     pixels : the noise is compared with the noise of each pixel, and the worst counts
-    render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
+    render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels, which is
+        met beside the tolerances. None means none; or `RENDER_NOISE` where there are no answers
     max_seconds : time limit of rendering, with a warning if it is reached. None limits the samples
         instead, to `Plan.most_samples`, so that the result does not depend on the machine. What the
         limit finds unfinished is given up.
-    tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`. None means none
-    delta_e_between : returns the mean ΔE between noise-free pictures of two lights
+    answers : numbers whose errors end the render. None, or answers without a number, means that
+        `render_noise` alone does
+    background : the scene without its target, whose renders have the samples of the scene's
     progress : called with the fraction done, and the current noise as text
     use_cache : whether cached renders are used; the result is the same bit for bit
 
-    Renders are summed in two independent halves; half of their difference has the variance of their
-    mean, pixel by pixel. Samples are added in pairs of renders, weighted by their samples. Far from
-    the target every second pair has four times the samples of the one before, so that they stay
-    stratified. Memory does not grow with the number of renders. What is added depends on the noise
-    only, never on the clock. A picture that the time limit ended is reproduced, bit for bit, by its
-    noise as the target, or by cached renders with the same limits.
+    Renders are summed in four independent quarters, whose scatter shows the variance of their mean,
+    pixel by pixel. They are added in groups of four; each fifth group has four times the samples of
+    those before, so that they stay stratified. Memory does not grow with the number of renders.
+    What is added depends on the noise only, never on the clock. A picture that the time limit ended
+    is reproduced, bit for bit, by its noise as the target, or by cached renders with the same
+    limits.
 
     Returns the irradiance, with the noise in its header, and the noise. Raises PixsimError if the
     time limit leaves no picture.
     """
     clock = _Clock(max_seconds)
     renderer = Renderer(
-        scene, camera, plan, seed, use_cache=use_cache, ends_at_s=clock.first_pair_ends_at_s
+        scene, camera, plan, seed, use_cache=use_cache, ends_at_s=clock.first_group_ends_at_s
     )
+    renderers = [renderer]
+    if background is not None:
+        bare_scene, bare_plan = background
+        renderers.append(
+            Renderer(
+                bare_scene,
+                camera,
+                bare_plan,
+                seed,
+                use_cache=use_cache,
+                ends_at_s=clock.first_group_ends_at_s,
+            )
+        )
     _ = renderer.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.samples.exact:
-        pictures, spp = renderer.run(0, lambda done: progress(done, "") if progress else None)
-        noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
-        return renderer.image(pictures, spp, render_noise=asdict(noise)), noise
+        return _exact(renderers, render_noise, progress)
 
     # Where the same renders ran out of time before, their number takes the place of the clock.
     physics = [_physics(pixel) for pixel in pixels]
-    limits = _hash_of_limits(physics, exposure, render_noise, max_seconds, tolerance_delta_e)
+    limits = _hash_of_limits(physics, exposure, render_noise, max_seconds, answers)
     if renderer.cache and max_seconds is not None:
         clock.runs_in_time = renderer.cache.runs_in_time(limits)
 
-    # Pairs of renders until the noise is small enough, or a limit is reached.
+    # Groups of renders until all errors are small enough, or a limit is reached.
     pace = _Pace(renderer, max_seconds)
-    halves = _Halves(renderer)
-    measured_delta_e = delta_e_between if tolerance_delta_e else None
+    quarters = [_Quarters(renderer) for renderer in renderers]
+    demand = _Demand(answers, render_noise)
     reporter = _Reporter(progress, pace.expected_spp)
-    noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
     ended_by: _EndedBy | None = None
     while ended_by is None:
         try:
-            spp = halves.add(_pair(halves, pace.level, reporter), whole=max_seconds is not None)
+            pace.add_group(quarters, reporter, whole=max_seconds is not None)
         except OutOfTimeError:
-            if not halves.runs:
+            if not quarters[0].runs:
                 raise
             ended_by = "max_seconds"
-            noise = replace(noise, ended_by=ended_by)
             break
 
-        fraction, relative = halves.noise(physics, exposure)
-        delta_e = halves.delta_e(measured_delta_e)
-        noise = RenderNoise(
-            fraction, relative, render_noise, halves.runs, "target", delta_e, tolerance_delta_e
-        )
-
-        pace.set_level(noise, spp, halves.spp)
+        spp = quarters[0].spp
         spent_s = clock.spent_s()
-        ended_by = _ended_by(
-            noise,
-            no_samples_left=spp > pace.max_spp - halves.spp,
-            is_late=clock.is_late(spent_s, halves.runs),
+        fraction, relative = quarters[0].noise(physics, exposure)
+        ended_by = _ended_by_limit(
+            no_samples_left=pace.no_samples_left(spp),
+            is_late=clock.is_late(spent_s, quarters[0].runs),
+            runs=quarters[0].runs,
         )
-        noise = replace(noise, ended_by=ended_by or "target")
+        if demand.is_met(quarters, fraction):
+            ended_by = "target"
 
-        reporter.note = f", render noise {noise.fraction:.2g} of sensor noise"
-        reporter.expected_spp = pace.expected_spp_of(noise, halves.spp, spent_s)
-        renderer.ends_at_s = clock.ends_at_s  # there is a picture now
+        reporter.note = f", render noise {fraction:.2g} of sensor noise"
+        samples_factor = demand.samples_factor(spp, fraction)
+        reporter.expected_spp = pace.expected_spp_of(samples_factor, spp, spent_s)
+        for traced in renderers:
+            traced.ends_at_s = clock.ends_at_s  # there is a picture now
 
+    if demand.measured_spp != quarters[0].spp:
+        demand.measure(quarters)
+    noise = demand.with_errors(
+        RenderNoise(fraction, relative, demand.target, quarters[0].runs, ended_by)
+    )
     if ended_by == "max_seconds" and renderer.cache:
-        renderer.cache.store_runs_in_time(limits, halves.runs)
-    if noise.delta_e is None:
-        noise = replace(noise, delta_e=halves.delta_e(delta_e_between))
+        renderer.cache.store_runs_in_time(limits, noise.runs)
     if ended_by != "target":
-        warn(_limit_note(ended_by, plan, noise, max_seconds))
-    return renderer.image(
-        halves.average(), halves.samples, render_noise=_header_entry(noise)
-    ), noise
+        samples_factor = demand.samples_factor(quarters[0].spp, fraction)
+        warn(_limit_note(plan, noise, samples_factor, max_seconds))
+    entry = _header_entry(noise)
+    halves = quarters[0].halves()
+    image = _mean_image(halves, quarters[0].samples, render_noise=entry)
+    bare = None
+    if background is not None:
+        bare = _mean_image(quarters[1].halves(), quarters[1].samples, render_noise=entry)
+    return Rendered(image, noise, bare, halves)
+
+
+def _exact(
+    renderers: Sequence[Renderer], render_noise: float | None, progress: Progress | None
+) -> Rendered:
+    """Return the picture of a chart whose film cells are computed, without noise."""
+    noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0)
+    images = []
+    for renderer in renderers:
+        pictures, spp = renderer.run(0, lambda done: progress(done, "") if progress else None)
+        images.append(renderer.image(pictures, spp, render_noise=asdict(noise)))
+    return Rendered(images[0], noise, images[1] if len(images) > 1 else None)
+
+
+class _Demand:
+    """What ends a render: the errors of the answers, as they were measured last, and its noise.
+
+    target : limit for the noise over the sensor's, or None
+    measured_spp : samples per film cell of each quarter when the errors were measured; 0 before
+    errors : of each answer
+    """
+
+    def __init__(self, answers: Answers | None, target: float | None) -> None:
+        self.answers = answers
+        self.target = target
+        self.measured_spp = 0.0
+        self.errors: dict[AnswerKey, AnswerError] = {}
+        self._is_light = True
+
+    def is_met(self, quarters: Sequence[_Quarters], fraction: float) -> bool:
+        """Return whether the noise and all errors are tolerated.
+
+        The errors are measured if the noise is, the first time, and then where they are expected to
+        be tolerated. Where there is no answer, `RENDER_NOISE` is the target.
+
+        fraction : noise over the sensor's
+        """
+        spp = quarters[0].spp
+        if self.target is not None and fraction > self.target:
+            return False
+        due_factor = min(_EARLY * self._answers_factor, _MAX_GROWTH)
+        if not self.measured_spp or spp >= due_factor * self.measured_spp:
+            self.measure(quarters)
+        if not self.errors and self._is_light:
+            self.target = self.target or RENDER_NOISE
+            return fraction <= self.target
+        return self.measured_spp == spp and self._answers_factor <= 1
+
+    @property
+    def _answers_factor(self) -> float:
+        if not self._is_light:
+            return math.inf
+        return max((error.samples_factor for error in self.errors.values()), default=0.0)
+
+    def samples_factor(self, spp: float, fraction: float) -> float:
+        """Return how many times the samples so far are needed.
+
+        spp : samples per film cell of each quarter
+        fraction : noise over the sensor's
+        """
+        noise_factor = (fraction / self.target) ** 2 if self.target else 0.0
+        return max(noise_factor, self._answers_factor * self.measured_spp / spp)
+
+    def measure(self, quarters: Sequence[_Quarters]) -> None:
+        """Measure the errors of all answers."""
+        self.measured_spp = quarters[0].spp
+        self.errors = {}
+        if self.answers is None:
+            return
+        self._is_light = all(quarter.all_have_light for quarter in quarters)
+        if not self._is_light:
+            return
+        parts = (0, 1, 2, 3), (0, 1), (2, 3), (0,), (1,), (2,), (3,)
+        lights = [
+            (quarters[0].image(part), quarters[1].image(part) if len(quarters) > 1 else None)
+            for part in parts
+        ]
+        values = self.answers.values(lights)
+        for key, value in values[0].items():
+            others = [numbers[key] for numbers in values[1:] if key in numbers]
+            if len(others) == len(parts) - 1:
+                self.errors[key] = replace(
+                    AnswerError.of(value, np.array(others[:2]), np.array(others[2:])),
+                    is_corrected=self.answers.are_corrected,
+                    tolerance=self.answers.tolerance(key, float(value.mean())),
+                )
+
+    def with_errors(self, noise: RenderNoise) -> RenderNoise:
+        """Return a noise with the errors of the answers, of each metric the one that is farthest
+        from its tolerance.
+        """
+        worst: dict[str, AnswerError] = {}
+        for (metric, _), error in self.errors.items():
+            if metric not in worst or error.samples_factor > worst[metric].samples_factor:
+                worst[metric] = error
+        limits = {
+            name: (error.error, error.tolerance if math.isfinite(error.tolerance) else None)
+            for name, error in worst.items()
+        }
+        delta_e, tolerance = limits.pop(DELTA_E.columns[0], (None, None))
+        bias = {name: error.bias for name, error in worst.items() if error.is_corrected}
+        return replace(
+            noise, delta_e=delta_e, tolerance_delta_e=tolerance, metrics=limits, bias=bias
+        )
 
 
 def _physics(pixel: Pixel | PixelPhysics) -> PixelPhysics:
@@ -193,23 +439,26 @@ def _physics(pixel: Pixel | PixelPhysics) -> PixelPhysics:
 def _hash_of_limits(
     pixels: Sequence[PixelPhysics],
     exposure: Exposure,
-    render_noise: float,
+    render_noise: float | None,
     max_seconds: float | None,
-    tolerance_delta_e: float | None,
+    answers: Answers | None,
 ) -> str:
     """Return a hash of all that ends the renders of one job."""
     pixel_content = [[pixel.pixel.model_dump(), pixel.technology.content] for pixel in pixels]
-    return content_hash(
-        [pixel_content, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e]
-    )
+    asked = answers.content if answers else None
+    return content_hash([pixel_content, exposure.model_dump(), render_noise, max_seconds, asked])
 
 
 def _header_entry(noise: RenderNoise) -> dict[str, Any]:
     """Return a noise as the entry of an image's header, with six digits."""
-    return {
-        key: float(f"{value:.6g}") if isinstance(value, float) else value
-        for key, value in asdict(noise).items()
-    }
+
+    def rounded(value: Any) -> Any:
+        return float(f"{value:.6g}") if isinstance(value, float) else value
+
+    entry = {key: rounded(value) for key, value in asdict(noise).items()}
+    entry["metrics"] = {name: [*map(rounded, limits)] for name, limits in noise.metrics.items()}
+    entry["bias"] = {name: rounded(bias) for name, bias in noise.bias.items()}
+    return entry
 
 
 class _Clock:
@@ -226,15 +475,15 @@ class _Clock:
         self.runs_in_time: int | None = None
 
     @property
-    def first_pair_ends_at_s(self) -> float | None:
-        """When the first pair is given up, which gets more time."""
+    def first_group_ends_at_s(self) -> float | None:
+        """When the first group is given up, which gets more time."""
         if self.max_seconds is None:
             return None
         return self.begun_s + (1 + _GRACE) * self.max_seconds + _GRACE_S
 
     @property
     def ends_at_s(self) -> float | None:
-        """When other pairs are given up."""
+        """When other groups are given up."""
         return None if self.max_seconds is None else self.begun_s + self.max_seconds
 
     def spent_s(self) -> float:
@@ -249,11 +498,12 @@ class _Clock:
 
 
 class _Pace:
-    """How many samples the next pair of renders has.
+    """How many samples the next group of renders has.
 
     level : each has four times the samples of the one below
-    max_spp : limit of the samples per film cell of each half
-    expected_spp : samples per film cell that a half is expected to need, before its noise is known
+    max_spp : limit of the samples per film cell of each quarter
+    expected_spp : samples per film cell that a quarter is expected to need, before its noise is
+        known
     """
 
     def __init__(self, renderer: Renderer, max_seconds: float | None) -> None:
@@ -263,44 +513,62 @@ class _Pace:
         self.max_spp = math.inf
         if max_seconds is None:
             film_samples = math.prod(renderer.size) * plan.light.passes
-            self.max_spp = plan.most_samples / (PAIR * film_samples)
+            self.max_spp = plan.most_samples / (QUARTERS * film_samples)
 
         self.expected_spp = UNKNOWN * plan.samples.spp
         if plan.many_bounces and max_seconds is None:
             self.expected_spp = self.max_spp
-        self._pairs_at_level = 0
+        self._first_spp = plan.samples.spp
+        self._groups_at_level = 0
+        self._group_spp = 0
 
-    def set_level(self, noise: RenderNoise, pair_spp: int, half_spp: float) -> None:
-        """Go to the next level far from the target, after some pairs with as many samples, and
-        within the limits; and in any case after the first pair of a time limit.
+    def add_group(self, quarters: Sequence[_Quarters], reporter: _Reporter, *, whole: bool) -> None:
+        """Add a render to each quarter of each scene, and go to the next level after some groups
+        with as many samples, within the limits; and in any case after the first group of a time
+        limit.
 
-        pair_spp, half_spp : samples per film cell of each render of the last pair, and of a half
+        whole : add all or none
         """
-        self._pairs_at_level += 1
-        is_far = noise.excess**2 > LEVEL_FACTOR / 2
-        next_spp = pair_spp * LEVEL_FACTOR
-        may_grow = pair_spp < _MAX_SPP and next_spp <= self.max_spp - half_spp
-        grows = is_far and may_grow and self._pairs_at_level >= _PAIRS_A_LEVEL
-        if self.level < 0 or grows:
+        groups = [
+            _group(quarter, self.level, reporter, (number, len(quarters)))
+            for number, quarter in enumerate(quarters)
+        ]
+        if whole:
+            groups = [iter([*group]) for group in groups]
+        for quarter, group in zip(quarters, groups, strict=True):
+            self._group_spp = quarter.add(group)
+
+        self._groups_at_level += 1
+        next_spp = self._group_spp * LEVEL_FACTOR
+        may_grow = self._group_spp < _MAX_SPP and next_spp <= self.max_spp - quarters[0].spp
+        if self.level < 0 or (may_grow and self._groups_at_level >= _GROUPS_A_LEVEL):
             self.level += 1
-            self._pairs_at_level = 0
+            self._groups_at_level = 0
 
-    def expected_spp_of(self, noise: RenderNoise, half_spp: float, spent_s: float) -> float:
-        """Return the samples per film cell that a half is expected to have at the end.
+    def no_samples_left(self, spp: float) -> bool:
+        """Return whether another group like the last one exceeds the limit of samples.
 
-        half_spp : those that it has, after `spent_s`
+        spp : samples per film cell of each quarter
         """
-        expected_spp = min(noise.excess**2 * half_spp, self.max_spp)
+        return self._group_spp > self.max_spp - spp
+
+    def expected_spp_of(self, samples_factor: float, spp: float, spent_s: float) -> float:
+        """Return the samples per film cell that a quarter is expected to have at the end.
+
+        samples_factor : how many times the samples are needed
+        spp : those that it has, after `spent_s`
+        """
+        expected_spp = min(max(samples_factor, 1.0) * spp, self.max_spp)
         if self.max_seconds is None:
             return expected_spp
-        return min(expected_spp, half_spp * self.max_seconds / max(spent_s, 1e-9))
+        return min(expected_spp, spp * self.max_seconds / max(spent_s, 1e-9))
 
 
 class _Reporter:
-    """Reports the progress of pairs of renders; never back, though the rest of a render is known
+    """Reports the progress of groups of renders; never back, though the rest of a render is known
     from its noise only.
 
-    expected_spp : samples per film cell that a half is expected to have at the end
+    expected_spp : samples per film cell that a quarter is expected to have at the end
     note : text beside the fraction
     """
 
@@ -310,15 +578,15 @@ class _Reporter:
         self.note = ""
         self._max_done = 0.0
 
-    def of_render(self, begin_spp: float, end_spp: float, pair_end_spp: float) -> Progress | None:
+    def of_render(self, begin_spp: float, end_spp: float, group_end_spp: float) -> Progress | None:
         """Return the progress of one render.
 
-        begin_spp, end_spp : samples per film cell of a half before and after it
-        pair_end_spp : after its pair
+        begin_spp, end_spp : samples per film cell of a quarter before and after it
+        group_end_spp : after its group
         """
         if self.progress is None:
             return None
-        total_spp = max(self.expected_spp, pair_end_spp)
+        total_spp = max(self.expected_spp, group_end_spp)
         return share_of(self._report, begin_spp / total_spp, end_spp / total_spp, self.note)
 
     def _report(self, done: float, note: str) -> None:
@@ -327,38 +595,46 @@ class _Reporter:
         self.progress(self._max_done, note)
 
 
-def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> _EndedBy | None:
-    """Return why a render ends after a pair, or None if it goes on."""
-    if noise.excess <= 1:
-        return "target"
+def _ended_by_limit(*, no_samples_left: bool, is_late: bool, runs: int) -> _EndedBy | None:
+    """Return which limit ends a render after a group, or None if it may go on."""
     if no_samples_left:
         return "samples"
     if is_late:
         return "max_seconds"
-    return "runs" if noise.runs >= _MAX_RUNS else None
+    return "runs" if runs >= _MAX_RUNS else None
 
 
-def _pair(halves: _Halves, level: int, reporter: _Reporter) -> Iterator[tuple[list[Any], int]]:
-    """Iterate over the next two renders."""
-    renderer = halves.renderer
-    runs = halves.runs
-    before_spp = halves.spp
+def _group(
+    quarter: _Quarters, level: int, reporter: _Reporter, scene: tuple[int, int]
+) -> Iterator[tuple[list[Any], int]]:
+    """Iterate over the next four renders of a scene.
+
+    scene : its number, and how many there are
+    """
+    renderer = quarter.renderer
+    runs = quarter.runs
+    before_spp = quarter.spp
     spp = renderer.plan.samples.spp * LEVEL_FACTOR**level
-    for number in range(PAIR):
-        begin_spp = before_spp + spp * number / PAIR
-        end_spp = before_spp + spp * (number + 1) / PAIR
-        progress = reporter.of_render(begin_spp, end_spp, before_spp + spp)
-        yield renderer.run(runs + number, progress, level)
+    number, scenes = scene
+    renders = QUARTERS * scenes
+    for render in range(QUARTERS):
+        done = number * QUARTERS + render
+        progress = reporter.of_render(
+            before_spp + spp * done / renders,
+            before_spp + spp * (done + 1) / renders,
+            before_spp + spp,
+        )
+        yield renderer.run(runs + render, progress, level)
 
 
-class _Halves:
-    """Two independent halves of the renders, as sums of pictures times their samples. Memory does
-    not grow with the number of renders.
+class _Quarters:
+    """Four independent quarters of the renders of a scene, as sums of pictures times their samples,
+    in float32. Memory does not grow with the number of renders.
 
     renderer : of all of them
     runs : number of renders
-    spp : samples per film cell of each half
-    samples : samples per film cell of both halves
+    spp : samples per film cell of each quarter
+    samples : samples per film cell of all quarters
     """
 
     def __init__(self, renderer: Renderer) -> None:
@@ -366,26 +642,28 @@ class _Halves:
         self.runs = 0
         self.spp = 0.0
         self.samples = 0
-        self._sums: list[list[Array]] = [[], []]
+        self._sums: list[list[NDArray[np.float32]]] = [[] for _ in range(QUARTERS)]
 
-    def add(self, pair: Iterable[tuple[list[Any], int]], *, whole: bool) -> int:
-        """Add a render to each half, and return the samples per film cell of each.
-
-        whole : add both or none, as a time limit needs it; else one after the other, in less memory
-        """
-        renders = [*pair] if whole else pair
-        for number, (pictures, spp) in enumerate(renders):
+    def add(self, group: Iterable[tuple[list[Any], int]]) -> int:
+        """Add a render to each quarter, and return the samples per film cell of each."""
+        spp = 0
+        for number, (pictures, spp) in enumerate(group):
             if not self._sums[number]:
-                self._sums[number] = [zeros(picture.shape) for picture in pictures]
+                self._sums[number] = [zeros(picture.shape, np.float32) for picture in pictures]
             _add(self._sums[number], pictures, spp)
-            del pictures  # or it would be a third picture in memory
+            del pictures  # or it would be one picture more in memory
             self.runs += 1
             self.samples += spp
         self.spp += spp
         return spp
 
+    @property
+    def all_have_light(self) -> bool:
+        """Whether no quarter is black."""
+        return all(any(map(self.renderer.has_light, sums)) for sums in self._sums)
+
     def noise(self, pixels: Sequence[PixelPhysics], exposure: Exposure) -> tuple[float, float]:
-        """Return the noise of the mean of both halves, as a fraction of sensor noise and relative,
+        """Return the noise of the mean of all quarters, as a fraction of sensor noise and relative,
         for the worst pixel.
 
         Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
@@ -394,9 +672,9 @@ class _Halves:
         fractions = [0.0]
         relatives = [0.0]
         for physics in pixels:
-            first, second = self._signal_rates(physics)
-            mean_rate = np.maximum((first + second) / 2, 0.0)
-            error_rate = (first - second) / 2
+            rates = self._signal_rates(physics)
+            mean_rate = np.maximum(rates.mean(axis=0), 0.0)
+            error_variance = rates.var(axis=0, ddof=1) / QUARTERS
 
             readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
             metered = with_metered_gain(exposure, readout, float(mean_rate.max()))
@@ -405,17 +683,17 @@ class _Halves:
             variance_dn2 = frame_variance_dn2(
                 mean_rate * time_s, time_s, readout, fixed_pattern=False
             )
-            error_e = error_rate * time_s
-            fraction = float(np.mean(error_e**2 / (variance_dn2 / readout.dn_per_e**2)))
+            error_e2 = error_variance * time_s**2
+            fraction = float(np.mean(error_e2 / (variance_dn2 / readout.dn_per_e**2)))
             fractions.append(math.sqrt(fraction))
             power_e2 = float(np.mean((mean_rate * time_s) ** 2))
             if power_e2:
-                relatives.append(math.sqrt(float(np.mean(error_e**2)) / power_e2))
+                relatives.append(math.sqrt(float(np.mean(error_e2)) / power_e2))
         return max(fractions), max(relatives)
 
-    def _signal_rates(self, physics: PixelPhysics) -> list[Array]:
-        """Return the photocurrents of the pixels in the measured parts of the film, (pixels,)
-        electrons/s, from each half.
+    def _signal_rates(self, physics: PixelPhysics) -> Array:
+        """Return the photocurrents of the pixels in the measured parts of the film, (quarters,
+        pixels) electrons/s.
         """
         renderer = self.renderer
         pixels_per_cell = renderer.pitch_um / physics.pitch_um
@@ -432,36 +710,55 @@ class _Halves:
                 for part in parts
             ]
             rates.append(np.concatenate(part_rates) / self.spp)
-        return rates
+        return np.array(rates)
 
-    def delta_e(
-        self, delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None
-    ) -> float | None:
-        """Return half of the mean ΔE between the pictures of both halves, or None where nobody
-        compares them, or one of them is black.
-        """
-        if delta_e_between is None:
-            return None
-        if not all(any(map(self.renderer.has_light, half)) for half in self._sums):
-            return None
-        first, second = (self.renderer.image(_means(half, self.spp), 0) for half in self._sums)
-        return delta_e_between(first, second) / 2
+    def image(self, parts: Sequence[int], **entries: Any) -> SpectralImage:
+        """Return the picture of some quarters together.
 
-    def average(self) -> list[Array]:
-        """Return the mean of both halves, which takes the place of the first one: pictures of all
-        bands are large.
+        entries : of its header
         """
-        first_half, second_half = self._sums
-        for mean, second in zip(first_half, second_half, strict=True):
+        first, *others = (self._sums[part] for part in parts)
+        samples = len(parts) * self.spp
+        means = []
+        for pictures in zip(first, *others, strict=True):
+            mean: NDArray[np.float32] = zeros(pictures[0].shape, np.float32)
             for rows in strips(*mean.shape[:2]):
-                mean[rows] += second[rows]
-                mean[rows] /= 2 * self.spp
-                release(mean[rows], second[rows])
-        self._sums.pop()
-        return first_half
+                mean[rows] = sum(picture[rows].astype(float) for picture in pictures) / samples
+                release(mean[rows], *(picture[rows] for picture in pictures))
+            means.append(mean)
+        return self.renderer.image(means, round(samples), **entries)
+
+    def halves(self) -> tuple[SpectralImage, SpectralImage]:
+        """Return the pictures of both halves, which take the place of the quarters in memory."""
+        first = self.image((0, 1), half=1)
+        self._sums[:2] = [], []
+        second = self.image((2, 3), half=2)
+        self._sums[2:] = [], []
+        return first, second
 
 
-def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) -> None:
+def _mean_image(
+    halves: tuple[SpectralImage, SpectralImage], samples: int, **entries: Any
+) -> SpectralImage:
+    """Return the mean of two halves of a render.
+
+    samples : per film cell of both together
+    entries : of the header
+    """
+    first, second = (half.whole.planes for half in halves)
+    planes: NDArray[np.float32] = zeros(first.shape, np.float32)
+    for plane, first_plane, second_plane in zip(planes, first, second, strict=True):
+        for rows in strips(*plane.shape):
+            plane[rows] = (first_plane[rows] + second_plane[rows]) / 2
+            release(plane[rows], first_plane[rows], second_plane[rows])
+    header = {name: value for name, value in halves[0].header.items() if name != "half"}
+    header |= {"spp": samples} | entries
+    return halves[0].with_planes(planes, header=header, margin=halves[0].margin)
+
+
+def _add(
+    totals: Sequence[NDArray[np.float32]], pictures: Sequence[NDArray[Any]], spp: float
+) -> None:
     """Add pictures times their samples, in place, a few rows at a time."""
     for total, picture in zip(totals, pictures, strict=True):
         for rows in strips(*total.shape[:2]):
@@ -469,53 +766,42 @@ def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) 
             release(total[rows], picture[rows])
 
 
-def _means(totals: Sequence[Array], spp: float) -> list[NDArray[np.float32]]:
-    """Return sums of pictures times their samples, over all samples per film cell."""
-    means = []
-    for total in totals:
-        mean: NDArray[np.float32] = zeros(total.shape, np.float32)
-        for rows in strips(*total.shape[:2]):
-            mean[rows] = total[rows] / spp
-            release(mean[rows], total[rows])
-        means.append(mean)
-    return means
-
-
-def _limit_note(ended: _EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> Note:
-    """Return a note on why a render ended before its target, and how much noise it has.
+def _limit_note(
+    plan: Plan, noise: RenderNoise, samples_factor: float, max_seconds: float | None
+) -> Note:
+    """Return a note on why a render ended before its tolerances were met, and what its noise does.
 
     Without the seconds that have passed: the text belongs to the result, which a cached render
     reproduces.
+
+    samples_factor : how many times the samples are needed
     """
     causes = {
         "samples": f"the render ended at its limit of {amount(plan.most_samples, 2)} samples",
         "max_seconds": f"the render ended at its time limit of {max_seconds or 0:g} s",
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }
-    if noise.tolerance_delta_e is not None and noise.delta_e is not None:
-        delta_e, tolerance = distinct_texts(noise.delta_e, noise.tolerance_delta_e)
-        words = (
-            f"{causes[ended]}: render noise makes up to {delta_e} ΔE, {tolerance} tolerated. Raise"
-            " --max-seconds or --tolerance-delta-e"
-        )
-        return Note("render_noise", words=words)
-
-    fraction, target = distinct_texts(noise.fraction, noise.target)
-    factor = _samples_factor(noise.fraction, noise.target)
-    words = (
-        f"{causes[ended]}: render noise is {fraction} of the sensor noise, target {target}; about"
-        f" {factor:.15g} times as many samples reach it. Raise --max-seconds or --render-noise"
-    )
-    return Note("render_noise", words=words)
-
-
-def _samples_factor(noise: float, target: float) -> float:
-    """Return how many times as many samples bring a render noise to its target: its variance falls
-    with their number.
-    """
-    return float(f"{(noise / target) ** 2:.2g}")
+    errors = {"ΔE": (noise.delta_e, noise.tolerance_delta_e), **noise.metrics}
+    facts = []
+    for name, (error, tolerance) in errors.items():
+        if error is not None and tolerance is not None and not error <= tolerance:
+            error_text, tolerance_text = distinct_texts(error, tolerance)
+            facts.append(f"{name} by {error_text}, {tolerance_text} tolerated")
+    options = "--max-seconds or --tolerance-delta-e"
+    if noise.target and noise.fraction > noise.target:
+        fraction, target = distinct_texts(noise.fraction, noise.target)
+        facts.append(f"each pixel by {fraction} of the sensor's noise, {target} asked")
+        options = "--max-seconds or --render-noise"
+    words = f"{causes[noise.ended_by]}: its noise may change {'; '.join(facts)}"
+    if not facts:
+        words = f"{causes[noise.ended_by]}: it is too dark to measure its noise"
+    elif math.isfinite(samples_factor):
+        words += f"; about {float(f'{samples_factor:.2g}'):.15g} times as many samples mend it"
+    return Note("render_noise", words=f"{words}. Raise {options}")
 
 
+# As much as black and white differ, or more: any light is good enough, also for other metrics.
+NO_TOLERANCE_DELTA_E = 100.0
 NO_TIME_LIMIT_S = 1e9  # not None, which would limit the samples instead
 ROUNDING = 1e-5  # of the noise in an image's header
 Settings = TypeVar("Settings", bound=Effort)
@@ -536,7 +822,7 @@ def repeatable_settings(settings: Settings, image: SpectralImage) -> Settings:
     no_limit: dict[str, Any] = {"max_seconds": NO_TIME_LIMIT_S, "resolution": image.shape[1]}
     if noise["ended_by"] == "max_seconds":
         no_limit["render_noise"] = noise["fraction"] * (1 + ROUNDING)
-        no_limit["tolerance_delta_e"] = None
+        no_limit["tolerance_delta_e"] = NO_TOLERANCE_DELTA_E
     return settings.model_copy(update=no_limit)
 
 

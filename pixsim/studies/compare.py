@@ -659,7 +659,9 @@ def _compared_sensor(
     with suppressed_warnings():  # the result itself warns
         run_imaging = Imaging.of(case.settings, case.camera)
         largest_um = group.border_um(case.camera) / BORDER_PIXELS
-        steps = cached_film_steps(light.image, run_imaging, plan.film.chart, largest_um, progress)
+        steps = cached_film_steps(
+            light.image, run_imaging, plan.film.chart, largest_um, progress, halves=light.halves
+        )
     return ComparedSensor(
         case=case,
         light=light,

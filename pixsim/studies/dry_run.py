@@ -285,7 +285,7 @@ def _planned_light(request: LightRequest) -> dict[str, Any]:
     film_share : least error of the film as a share of mean ΔE, for dots with less than one sample
     rays_a_pixel : limit of the rays on each pixel, of all passes together, or None if only time
         limits them, 0 if there are none
-    render_noise : its target, as a fraction of the sensor's noise
+    render_noise : its target, as a fraction of the sensor's noise, or None without one
     """
     height, width = request.shape
     plan = request.plan

@@ -10,7 +10,9 @@ more samples.
   film that is made from its picture can show that, other than of a chart. The change from a film of
   half the samples does: it counts the more, the fewer samples a dot has.
 
-All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large
+All films have the noise of one frame, so that their mean ΔE differ by the film alone. The noise of
+a render looks like detail as fine as a sample: its part is measured in two halves of the render,
+which have twice as much of it, and taken off. Of a large
 picture 16 parts are measured, spread evenly over it, and smaller ones on the finer films. The
 scatter of a change on finer films over the parts shows how much of it cancels in its mean, and so
 may be small by chance.
@@ -36,12 +38,14 @@ from pixsim.base.progress import Progress, share_of, steps_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, image_tiling
 from pixsim.optics.veil import with_veil_of_whole
+from pixsim.scene.convergence import AnswerError
 from pixsim.scene.film import BLOCK, details_across, dots_across
 from pixsim.scene.rules import Chart
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.sensor.readout import (
+    Frame,
     frame_variance_dn2,
     integration_time_s,
     with_metered_gain,
@@ -79,7 +83,7 @@ _FINER_FACTOR = 2.5
 # with less than 2.7 samples.
 _ALIASED = 1.5
 _UNSEEN = 0.2  # of mean ΔE, for each missing sample of a dot, over the samples that it has
-_TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
+TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 _MAX_FINER_RATIO = max(repeated / averaged for repeated, averaged in FINER_FILMS)
 
 Region = tuple[slice, slice]  # rows and columns of a picture
@@ -514,9 +518,10 @@ def light_error_and_limit(
     largest tolerated errors.
 
     header : of the irradiance
-    film : error of its film, or None if it was not measured
+    film : error of its film, or None if it was not measured: the light is not that of a run, which
+        is corrected for the noise of its render
     """
-    error, limit = noise_error_and_limit(header)
+    error, limit = noise_error_and_limit(header, is_corrected=film is not None)
     if film is not None:
         error = replace(error, film_delta_e=film.largest_delta_e)
         limit = replace(limit, film_delta_e=min(film.tolerated_delta_e))
@@ -528,6 +533,7 @@ def measure_film(
     measured: Sequence[Imaging],
     *,
     chart: Chart | None = None,
+    halves: Sequence[SpectralImage] = (),
     tolerance_delta_e: float | None = None,
     use_cache: bool = False,
     progress: Progress | None = None,
@@ -536,6 +542,7 @@ def measure_film(
 
     measured : the pixels, with one camera and display
     chart : that the film shows, if nothing else; its detail is known
+    halves : two renders of which the picture is the mean; none of a picture without noise
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
     use_cache : use the cache, for the picture of a render (`cached_film_steps`)
 
@@ -546,7 +553,7 @@ def measure_film(
         white = white_header(
             [(imaging.changed(border_um=None, motion=NO_MOTION), image) for imaging in measured]
         )
-        image_with_white = image.with_planes(
+        image = image.with_planes(
             image.whole.planes, header=image.header | white, margin=image.margin
         )
 
@@ -557,7 +564,7 @@ def measure_film(
         part = share_of(progress, number / len(measured), (number + 1) / len(measured))
         measure = cached_film_steps if use_cache else film_steps
         try:
-            steps = measure(image_with_white, imaging, chart, progress=part)
+            steps = measure(image, imaging, chart, halves=halves, progress=part)
         except AlikeChannelsError:
             if number == len(measured) - 1 and not pitches_um:
                 raise
@@ -569,7 +576,7 @@ def measure_film(
         errors.append(error_delta_e)
 
     if tolerance_delta_e is None:
-        tolerated = [max(_TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean in means]
+        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean in means]
     else:
         tolerated = [tolerance_delta_e] * len(means)
     return FilmError(
@@ -596,6 +603,9 @@ class FilmSteps:
     blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur
         than the picture; or 0
     is_chart : whether the finer films show a chart (`_chart_with_known_means`)
+    halves_delta_e : mean ΔE on the film of the render and of its two halves, (3,); none of a
+        picture without noise. `delta_e` and `finer_delta_e` are those of a render without noise
+        then
     """
 
     delta_e: Array
@@ -603,12 +613,27 @@ class FilmSteps:
     dot_samples: float
     blur_error: float = 0.0
     is_chart: bool = False
+    halves_delta_e: tuple[float, ...] = ()
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> FilmSteps:
         """Return the steps of `as_dict`."""
         arrays = {name: np.array(table[name], float) for name in ("delta_e", "finer_delta_e")}
-        return cls(**table | arrays)
+        return cls(**table | arrays | {"halves_delta_e": tuple(table["halves_delta_e"])})
+
+    def without_noise(self, halves: Sequence[FilmSteps]) -> FilmSteps:
+        """Return the steps of a render without noise, from those of its two halves: the noise adds
+        to a mean ΔE in proportion to 1/samples (Richardson's extrapolation).
+        """
+        if not self.delta_e.size or not halves:
+            return self
+        first, second = halves
+        return replace(
+            self,
+            delta_e=2 * self.delta_e - (first.delta_e + second.delta_e) / 2,
+            finer_delta_e=2 * self.finer_delta_e - (first.finer_delta_e + second.finer_delta_e) / 2,
+            halves_delta_e=tuple(float(steps.delta_e[0].mean()) for steps in (self, *halves)),
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the steps for JSON."""
@@ -617,6 +642,7 @@ class FilmSteps:
             "dot_samples": self.dot_samples,
             "blur_error": self.blur_error,
             "is_chart": self.is_chart,
+            "halves_delta_e": self.halves_delta_e,
         }
 
     def error(self) -> tuple[float, float]:
@@ -628,11 +654,11 @@ class FilmSteps:
         return mean, sampling_error + _BLUR_ERROR * self.blur_error * mean
 
     def error_of_difference(self, other: FilmSteps) -> float:
-        """Return the error of the difference between two sensors' mean ΔE, measured in the same
-        parts of the same film; NaN if unknown.
+        """Return the error of the difference between two sensors' mean ΔE by the film and the
+        noise of the render, measured in the same parts of the same film; NaN if unknown.
 
-        It is measured on the difference itself, since most of a film's error is common to both.
-        Equal sensors have no error.
+        It is measured on the difference itself, since most of the error is common to both. Equal
+        sensors have no error.
         """
         pairs = (self.delta_e, other.delta_e), (self.finer_delta_e, other.finer_delta_e)
         if any(first.shape != second.shape for first, second in pairs) or not self.delta_e.size:
@@ -649,7 +675,14 @@ class FilmSteps:
             dot_samples=min(self.dot_samples, other.dot_samples),
         )
         blur_delta_e = _BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
-        return sampling_error + blur_delta_e
+        return sampling_error + blur_delta_e + self._noise_of_difference(other)
+
+    def _noise_of_difference(self, other: FilmSteps) -> float:
+        """Return the error of the difference of two mean ΔE by the noise of the render."""
+        if len(self.halves_delta_e) != len(other.halves_delta_e) or not self.halves_delta_e:
+            return 0.0
+        difference, *halves = np.subtract(other.halves_delta_e, self.halves_delta_e).tolist()
+        return AnswerError.of_halves(difference, halves).error
 
     def _error_of(
         self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, dot_samples: float
@@ -673,13 +706,15 @@ def cached_film_steps(
     chart: Chart | None,
     part_pitch_um: float | None = None,
     progress: Progress | None = None,
+    *,
+    halves: Sequence[SpectralImage] = (),
 ) -> FilmSteps:
     """Return `film_steps` of the picture of a render, from the cache if it has the steps of these
     parts.
 
     Its header states everything that the picture depends on.
     """
-    imaging = _with_linear_denoising(imaging)
+    imaging = with_linear_denoising(imaging)
     size_um = part_pitch_um or imaging.physics.read_pitch_um
     regions = [
         measured_regions(image, size_um, imaging.display, max_count)
@@ -706,12 +741,12 @@ def cached_film_steps(
         "film",
         content_hash([image.header, image.shape, *pixel_content, part_ends, versions]),
         FilmSteps.from_dict,
-        lambda: film_steps(image, imaging, chart, part_pitch_um, progress),
+        lambda: film_steps(image, imaging, chart, part_pitch_um, progress, halves=halves),
         FilmSteps.as_dict,
     )
 
 
-def _with_linear_denoising(imaging: Imaging) -> Imaging:
+def with_linear_denoising(imaging: Imaging) -> Imaging:
     """Return the settings for parts of a picture: with the linear bound in place of a denoiser that
     adapts.
 
@@ -730,6 +765,8 @@ def film_steps(
     chart: Chart | None,
     part_pitch_um: float | None = None,
     progress: Progress | None = None,
+    *,
+    halves: Sequence[SpectralImage] = (),
 ) -> FilmSteps:
     """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and
     on finer ones.
@@ -738,8 +775,33 @@ def film_steps(
     by the PSF of its middle, which is the same on all films.
 
     part_pitch_um : pitch that sets the size of the parts. None means the pixel's pitch
+    halves : two renders of which the picture is the mean; none of a picture without noise
     """
-    imaging = _with_linear_denoising(imaging)
+    imaging = with_linear_denoising(imaging)
+    noise: tuple[list[Array], list[Array]] = [], []
+    steps = []
+    count = 1 + len(halves)
+    for number, half in enumerate((image, *halves)):
+        # All are shown with the white of the picture.
+        light = half.with_planes(half.whole.planes, header=image.header, margin=half.margin)
+        part = share_of(progress, number / count, (number + 1) / count)
+        steps.append(_steps_of_light(light, imaging, chart, part_pitch_um, noise, part))
+    first, *others = steps
+    return first.without_noise(others)
+
+
+def _steps_of_light(
+    image: SpectralImage,
+    imaging: Imaging,
+    chart: Chart | None,
+    part_pitch_um: float | None,
+    noise: tuple[list[Array], list[Array]],
+    progress: Progress | None,
+) -> FilmSteps:
+    """Return the `film_steps` of one light.
+
+    noise : of the frames of the parts on coarser and on finer films; the first light adds it
+    """
     display = imaging.display
     size_um = part_pitch_um or imaging.physics.read_pitch_um
     image = with_veil_of_whole(image, imaging.camera)
@@ -761,13 +823,16 @@ def film_steps(
     if lens:
         regions = measured_regions(image, size_um, display)
         lights = lens.film_lights(regions, len(films), share_of(progress, 0.0, blur_share))
-    delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blur_share, score_share))
+    delta_e = delta_e_on_films(
+        films, lights, imaging, share_of(progress, blur_share, score_share), noise[0]
+    )
 
     finer_delta_e = _finer_delta_e(
         finer_parts(image, size_um, display, chart),
         lens,
         imaging,
         share_of(progress, score_share, 1.0),
+        noise[1],
     )
     blur_error = lens.tiling.error if lens else 0.0
     return FilmSteps(delta_e, finer_delta_e, dot_samples, blur_error, is_chart)
@@ -906,9 +971,12 @@ def _finer_delta_e(
     lens: BehindLens | None,
     imaging: Imaging,
     progress: Progress | None = None,
+    noise: list[Array] | None = None,
 ) -> Array:
     """Return the mean ΔE of parts on the film itself and on the films `FINER_FILMS`, (films,
     parts).
+
+    noise : as for `delta_e_on_films`
     """
     if not parts:
         return np.empty(0)
@@ -927,7 +995,7 @@ def _finer_delta_e(
         [(image, part.display) for image, part in zip(film, parts, strict=True)]
         for film in zip(*images, strict=True)
     ]
-    return delta_e_on_films(films, list(zip(*lights, strict=True)), imaging, progress)
+    return delta_e_on_films(films, list(zip(*lights, strict=True)), imaging, progress, noise)
 
 
 def _cells_at_once(image: SpectralImage) -> int:
@@ -946,6 +1014,7 @@ def delta_e_on_films(
     lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]],
     imaging: Imaging,
     progress: Progress | None = None,
+    noise: list[Array] | None = None,
 ) -> Array:
     """Return the mean ΔE of each part on each film, (films, parts), with the noise of frames on the
     first film.
@@ -953,6 +1022,7 @@ def delta_e_on_films(
     A picture that is measured whole has its `PARTS` × `PARTS` equal rectangles as parts.
 
     lights : of each part on each film behind the lens, where they are known
+    noise : standard noise of the frame of each part; an empty list gets that of these films
     """
     step_done = steps_of(progress, len(films))
     divisions = PARTS if len(films[0]) == 1 else 1
@@ -960,7 +1030,9 @@ def delta_e_on_films(
 
     # The frames of the first film are exposed first: all films have their noise.
     first = chains_of_film(films[0], lights[0], imaging)
-    noise = [standard_noise_of(chain, imaging, number) for number, chain in enumerate(first)]
+    noise = [] if noise is None else noise
+    if not noise:
+        noise += [standard_noise_of(chain, imaging, number) for number, chain in enumerate(first)]
 
     def measure(step: int) -> None:
         chains = chains_of_film(films[step], lights[step], imaging) if step else first
@@ -968,7 +1040,7 @@ def delta_e_on_films(
             score_with_noise(chain, noise[number]).delta_e for number, chain in enumerate(chains)
         ]
         delta_e[step] = np.concatenate(
-            [_means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
+            [means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
         )
         step_done()
 
@@ -1029,7 +1101,7 @@ def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
     return np.asarray(np.sqrt(variance_dn2) / chain.readout.dn_per_e)
 
 
-def _means_over_rectangles(picture: Array, divisions: int) -> Array:
+def means_over_rectangles(picture: Array, divisions: int) -> Array:
     """Return the means over divisions × divisions rectangles of a picture (H, W), row by row."""
     means = []
     for row in np.array_split(picture, divisions, axis=0):
@@ -1038,12 +1110,17 @@ def _means_over_rectangles(picture: Array, divisions: int) -> Array:
     return np.array(means)
 
 
-def score_with_noise(chain: ImagingChain, standard_noise: Array) -> FrameScore:
-    """Return the score of a frame with a noise that is known but for its standard deviation.
+def with_noise(chain: ImagingChain, standard_noise: Array) -> Frame:
+    """Return a frame with a noise that is known but for its standard deviation.
 
     Drawn anew for each film, the noise would hide changes of mean ΔE of less than 1e-3.
     """
     time_s = chain.integration_s
     mean = noiseless_frame(chain, time_s)
     electrons = mean.estimate_e + standard_noise * _deviation_e(chain, time_s)
-    return chain.development.score(replace(mean, corrected_e=electrons.astype(np.float32)))
+    return replace(mean, corrected_e=electrons.astype(np.float32))
+
+
+def score_with_noise(chain: ImagingChain, standard_noise: Array) -> FrameScore:
+    """Return the score of the frame of `with_noise`."""
+    return chain.development.score(with_noise(chain, standard_noise))

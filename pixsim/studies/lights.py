@@ -12,47 +12,42 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from pixsim.base.caller import setting
 from pixsim.base.digits import counted
 from pixsim.base.errors import invalid
 from pixsim.base.hashes import content_hash
-from pixsim.base.notes import Note, suppressed_warnings, warn
+from pixsim.base.notes import warn
 from pixsim.base.progress import Progress, Stage, share_of
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import rendered_camera
-from pixsim.scene.convergence import RenderNoise, render_until
+from pixsim.scene.convergence import Rendered, RenderNoise, render_until
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
 from pixsim.scene.scene import RESOLUTION, Scene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.labels import label_in
-from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.design import (
     LIGHT_SETTINGS,
     Case,
     imaging_of,
     largest_pixel_um,
     light_hash,
+    metrics_of,
     physics_of,
     pixel_of,
     study_pitches_um,
 )
 from pixsim.studies.engine import Workers, results_of, workers_here
-from pixsim.studies.film_error import FilmError, display_of_columns, measure_film, measured_regions
+from pixsim.studies.film_error import FilmError, measure_film
+from pixsim.studies.light_answers import LightAnswers
 from pixsim.studies.settings import Study
-from pixsim.viewer.chain import make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import has_target
-from pixsim.viewer.noise_budget import noiseless_frame
-from pixsim.viewer.scene_light import SceneLight, prepare_scene
-from pixsim.viewer.screen import perceived_lab, white_header
+from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run, Setting
 
 _WORTH_WIDENING = 1.2
@@ -65,7 +60,7 @@ _RENDER_SHARE = 0.9
 _CHART_RENDER_SHARE = 0.3
 
 
-Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
+Render = Callable[[Scene, Plan], Rendered]
 
 
 @dataclass(frozen=True)
@@ -76,6 +71,7 @@ class Light:
     film : the error of its film, or None for given light
     noise : of its render, or None for given light
     background : irradiance of the scene without its target, if a metric asks for it
+    halves : independent ones of the render, of which the light is the mean; none without noise
     """
 
     image: SpectralImage
@@ -83,6 +79,14 @@ class Light:
     film: FilmError | None = None
     noise: RenderNoise | None = None
     background: SpectralImage | None = None
+    halves: tuple[SpectralImage, ...] = field(default=(), repr=False)
+
+    @classmethod
+    def rendered(cls, rendered: Rendered, camera: Camera, film: FilmError) -> Light:
+        """Return the light of a render with the error of its film."""
+        return cls(
+            rendered.image, camera, film, rendered.noise, rendered.background, rendered.halves
+        )
 
 
 @dataclass(frozen=True)
@@ -119,94 +123,83 @@ class LightRequest:
         """(H, W) of the first film in samples."""
         return self.first.film_shape(self.camera, self.first.for_camera(self.camera))
 
+    @property
+    def answers(self) -> LightAnswers:
+        """The numbers whose errors end the render."""
+        settings = self.settings
+        return LightAnswers(
+            self.measured,
+            metrics_of(settings),
+            settings.tolerance_delta_e,
+            are_corrected=isinstance(settings, Run),
+        )
+
     def render(
         self, scene: Scene, plan: Plan, *, use_cache: bool = True, progress: Progress | None = None
-    ) -> tuple[SpectralImage, RenderNoise]:
-        """Return the picture of a film, and its noise, within the limits of the settings.
+    ) -> Rendered:
+        """Return the picture of a film, and its noise, within the limits of the settings; where a
+        metric asks for it, also the picture of the scene without its target.
+
+        The samples of both are the same: where both show the same, so is their noise.
 
         use_cache : use the cache of renders
         """
-        return render_until(
-            scene,
-            self.camera,
-            plan,
-            [self.pixel],
-            self.measured[0].exposure,
-            self.settings.seed,
+        render = partial(
+            render_until,
+            camera=self.camera,
+            pixels=[self.pixel],
+            exposure=self.measured[0].exposure,
+            seed=self.settings.seed,
             use_cache=use_cache,
             render_noise=self.settings.render_noise,
             max_seconds=self.settings.max_seconds,
-            tolerance_delta_e=self.settings.tolerance_delta_e,
-            delta_e_between=self.delta_e_between,
             progress=progress,
         )
+        background = None
+        if has_target(self.settings.metrics):
+            _, width = scene.film_shape(self.camera, scene.for_camera(self.camera))
+            bare = self._without_target(scene, width)
+            background = bare, self.plan_of(bare)
+            if background[1].samples.exact != plan.samples.exact:
+                # One of both has no noise.
+                rendered = render(scene, plan=plan)
+                return replace(rendered, background=render(bare, plan=background[1]).image)
+        return render(scene, plan=plan, answers=self.answers, background=background)
 
-    def delta_e_between(self, image: SpectralImage, other: SpectralImage) -> float:
-        """Return the largest mean ΔE of the pixels between noise-free pictures of two renders.
+    def _without_target(self, scene: Scene, across: int) -> Scene:
+        """Return a scene without its target, on a film of so many samples across.
 
-        Pixels whose channels cannot be told apart are left out; NaN if no pixel is left.
+        Raises PixsimError if it does not have the parameters that leave the target out.
         """
-        delta_e = []
-        for imaging in self.measured:
-            try:
-                delta_e.append(delta_e_between(image, other, imaging))
-            except AlikeChannelsError:
-                continue
-        return max(delta_e, default=math.nan)
+        stated = self.settings.metric.detectability.without
+        if isinstance(stated, str):
+            from pixsim.scene.scene import load_scene
+
+            return load_scene(stated, variant=scene.choice.variant).with_resolution(across)
+
+        unknown = [name for name in stated if name not in scene.names]
+        if unknown:
+            raise invalid(
+                setting("metric.detectability.without"),
+                f"{', '.join(unknown)}, which {scene.path.name} does not have",
+                f"parameters of the scene ({', '.join(sorted(scene.names))}), or a scene",
+                "Use the scene target, or state another scene without the target.",
+            )
+        return scene.with_parameters(**stated).with_resolution(across)
 
     def film_error(
-        self, image: SpectralImage, plan: Plan, *, progress: Progress | None = None
+        self, rendered: Rendered, plan: Plan, *, progress: Progress | None = None
     ) -> FilmError:
         """Return the error of a film, measured in its picture."""
         return measure_film(
-            image,
+            rendered.image,
             self.measured,
+            halves=rendered.halves,
             chart=plan.film.chart,
             tolerance_delta_e=self.settings.tolerance_delta_e,
             use_cache=True,
             progress=progress,
         )
-
-
-def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging) -> float:
-    """Return the mean ΔE between two lights as one sensor without noise shows them; of a large
-    picture, between its parts.
-    """
-    imaging = imaging.changed(border_um=None, motion=NO_MOTION, exposure=imaging.exposure.steady)
-    with suppressed_warnings():  # the run itself warns of the white
-        white = white_header([(imaging, image)])
-    rows, columns = image.shape
-    regions = measured_regions(image, imaging.physics.read_pitch_um, imaging.display)
-    whole = slice(0, rows), slice(0, columns)
-
-    delta_e = []
-    for region in regions or [whole]:
-        display = imaging.display
-        if regions:
-            display = display_of_columns(display, region[1], columns)
-        part_imaging = imaging.changed(display=display)
-
-        # Both parts are exposed as long as the first of them.
-        pictures = []
-        exposure = None
-        for light in (image, other):
-            planes = light.planes[:, region[0], region[1]]
-            part = light.with_planes(planes, header=light.header | white)
-            chain = make_chain(part_imaging, prepare_scene(part_imaging, SceneLight(part)))
-            if exposure is None:
-                brightest_e_per_s = float(chain.signal_e_per_s.max())
-                exposure = integration_time_s(imaging.exposure, imaging.readout, brightest_e_per_s)
-            pictures.append(chain.development.score(noiseless_frame(chain, exposure)).image)
-
-        # The first picture takes the place of the ideal image.
-        screen = chain.screen
-        ideal_lab = perceived_lab(
-            pictures[0], screen.display, screen.without_shortcuts, screen.in_float32
-        )
-        screen = replace(screen, ideal_lab=ideal_lab)
-        delta_e.append(float(screen.delta_e_map(pictures[1]).mean()))
-
-    return float(np.mean(delta_e))
 
 
 def rendered_light(request: LightRequest, progress: Progress | None = None) -> tuple[Light, Plan]:
@@ -223,10 +216,10 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
         warn(note)
     render_share = _CHART_RENDER_SHARE if plan.samples.exact else _RENDER_SHARE
 
-    def measure(image: SpectralImage, plan: Plan) -> FilmError:
-        words = f", the error of a film of {image.shape[1]} samples across"
+    def measure(rendered: Rendered, plan: Plan) -> FilmError:
+        words = f", the error of a film of {rendered.image.shape[1]} samples across"
         part = share_of(progress, render_share, 1.0, words)
-        return request.film_error(image, plan, progress=part)
+        return request.film_error(rendered, plan, progress=part)
 
     fixed = "set by resolution" if settings.resolution else ""
     is_free = not fixed and RESOLUTION not in scene.parameters
@@ -242,45 +235,7 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
         max_seconds=settings.max_seconds,
         coarsening=_FIRST_COARSENING if is_free and bounds_error else 1,
     )
-    if has_target(settings.metrics):
-        light = replace(light, background=without_target(request, light.image.shape[1]))
     return light, plan
-
-
-def without_target(request: LightRequest, across: int) -> SpectralImage:
-    """Return the irradiance of the scene without its target, on a film of so many samples across.
-
-    Its samples are the samples of the scene with the target: where both pictures are the same, so
-    is their noise.
-
-    Raises PixsimError if the scene does not have the parameters that leave the target out.
-    """
-    stated = request.settings.metric.detectability.without
-    if isinstance(stated, str):
-        from pixsim.scene.scene import load_scene
-
-        scene = load_scene(stated, variant=request.scene.choice.variant)
-    else:
-        scene_names = request.scene.names
-        unknown = [name for name in stated if name not in scene_names]
-        if unknown:
-            raise invalid(
-                setting("metric.detectability.without"),
-                f"{', '.join(unknown)}, which {request.scene.path.name} does not have",
-                f"parameters of the scene ({', '.join(sorted(scene_names))}), or a scene",
-                "Use the scene target, or state another scene without the target.",
-            )
-        scene = request.scene.with_parameters(**stated)
-
-    scene = scene.with_resolution(across)
-    image, noise = request.render(scene, request.plan_of(scene))
-    if noise.relative > 0:
-        words = (
-            f"the light has render noise of {100 * noise.relative:.2g} %: its difference between"
-            f" the light with and without the target counts as signal"
-        )
-        warn(Note("render_noise", words=words))
-    return image
 
 
 def render_on_film(
@@ -290,7 +245,7 @@ def render_on_film(
     *,
     render: Render,
     plan_of: Callable[[Scene], Plan],
-    measure: Callable[[SpectralImage, Plan], FilmError],
+    measure: Callable[[Rendered, Plan], FilmError],
     fixed: str = "",
     max_seconds: float | None = None,
     coarsening: int = 1,
@@ -325,14 +280,14 @@ def render_on_film(
     coarser_film: FilmError | None = None
     while True:
         start = time.perf_counter()
-        image, noise = render(scene, plan)
+        rendered = render(scene, plan)
         seconds = time.perf_counter() - start
         rendered_s += seconds
-        film = measure(image, plan)
+        film = measure(rendered, plan)
         if film.within_tolerance:
-            return Light(image, camera, film, noise), plan
+            return Light.rendered(rendered, camera, film), plan
 
-        width = image.shape[1]
+        width = rendered.image.shape[1]
         cells_in_time = plan.cells_in_time if max_seconds is None else math.inf
         max_across = largest_film(ratio, plan.light.planes, cells_in_time)
         wider = fitting_width(ratio, 2 * width, max_across)
@@ -353,7 +308,7 @@ def render_on_film(
             scene = scene.with_resolution(wider)
             plan = plan_of(scene)
             continue
-        return Light(image, camera, replace(film, limit=limit), noise), plan
+        return Light.rendered(rendered, camera, replace(film, limit=limit)), plan
 
 
 def _is_out_of_reach(film: FilmError, predicted: Sequence[float]) -> bool:
@@ -466,8 +421,8 @@ def render_for(
             light, _ = rendered_light(request, progress)
         else:
             scene = request.scene.with_resolution(film.shape[1])
-            image, noise = request.render(scene, request.plan_of(scene), progress=progress)
-            light = Light(image, request.camera, film, noise)
+            rendered = request.render(scene, request.plan_of(scene), progress=progress)
+            light = Light.rendered(rendered, request.camera, film)
     except AlikeChannelsError as error:
         label = label_in(study.technologies[0], case.words)
         raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
@@ -645,4 +600,9 @@ def _stored(light: Light | str, store: Callable[[SpectralImage], SpectralImage])
     if isinstance(light, str):
         return light
     background = None if light.background is None else store(light.background)
-    return replace(light, image=store(light.image), background=background)
+    return replace(
+        light,
+        image=store(light.image),
+        background=background,
+        halves=tuple(map(store, light.halves)),
+    )

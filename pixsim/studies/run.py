@@ -39,7 +39,7 @@ from pixsim.studies.design import Case, metrics_of, warn_of_reviews
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import FirstFrame, RenderedCase, evaluate_points
 from pixsim.studies.film_error import light_error_and_limit
-from pixsim.studies.lights import Light, rendered_light, without_target
+from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
 from pixsim.studies.prepare import (
     Job,
@@ -190,11 +190,10 @@ def _threshold_of(
         """Return log(d′ / threshold) at log(value / first value) = `shift`."""
         parameters = settings.scene | {name: start * math.exp(shift)}
         scene = scene_with_view(load(parameters=parameters), job.view).with_resolution(film_width)
-        image, _ = request.render(scene, request.plan_of(scene))
-        background = without_target(replace(request, scene=scene), film_width)
+        rendered = request.render(scene, request.plan_of(scene))
         if progress:
             progress(min(next(render_number) / MAX_RENDERS, 1.0))
-        return logarithm(d_prime_in(SceneLight(image, background)))
+        return logarithm(d_prime_in(SceneLight(rendered.image, rendered.background)))
 
     def logarithm(d_prime: float) -> float:
         return math.log(max(d_prime, _MIN_D_PRIME) / options.threshold)
@@ -454,7 +453,7 @@ class RunResult(RenderedRun, Result):
     warned : warnings meanwhile
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
-    table : of the first frame of each sensor
+    table : of the first frame of each sensor, without the bias by the noise of the render
     table_at_first : the same of further sensors at the first one's registration, or None if all
         sensors have it
     keys : of the rows of the table, hashes of all that they depend on
@@ -472,6 +471,7 @@ class RunResult(RenderedRun, Result):
     def statistics(self) -> tuple[dict[str, float], ...]:
         """Numbers of the pixel, the frame and the metrics, of the first frame of each sensor."""
         first = self.score.statistics()
+        first |= {name: value for name, value in self.table[0].items() if name in first}
         rows = ({name: row[name] for name in first if name in row} for row in self.table[1:])
         return first, *rows
 
@@ -752,6 +752,7 @@ def score_run(
         first: list[FirstFrame] = []
         evaluating = share_of(scored, _BEFORE_FRAME, 1.0)
         table = evaluate_points([rendered], None, progress=lambda: evaluating, first_frame=first)
+        table = _without_bias(table, light)
         for reason in table.impossible.values():
             raise AlikeChannelsError(reason)
         chain, frame = first[0]
@@ -764,7 +765,9 @@ def score_run(
         if job.repeats > 1:
             second_imaging = registered_in(rendered.imaging, rendered.light(), 1)
             if second_imaging != rendered.imaging:
-                table_at_first = evaluate_points(_sensors_at_first(rendered), None, Workers())
+                table_at_first = _without_bias(
+                    evaluate_points(_sensors_at_first(rendered), None, Workers()), light
+                )
 
     threshold = None
     if light is not None and _start_value(settings, case.scene) is not None:
@@ -815,6 +818,16 @@ def _d_prime_in(case: Case[Run], light: SceneLight) -> float:
     return float(table.columns[DETECTABILITY.columns[0]][0])
 
 
+def _without_bias(table: Table, light: Light | None) -> Table:
+    """Return the rows of a light without the bias of their metrics by the noise of its render."""
+    bias = light.noise.bias if light is not None and light.noise is not None else {}
+    columns = {
+        name: values - bias[name] if name in bias else values
+        for name, values in table.columns.items()
+    }
+    return replace(table, columns=columns)
+
+
 def _sensors_at_first(rendered: RenderedCase) -> list[RenderedCase]:
     """Return further sensors at the registration of the first one, one in each case."""
     case = rendered.case
@@ -844,7 +857,7 @@ def _with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> Fram
     others = [metric for metric in metrics_named(names) if metric is not DELTA_E]
     further = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
     first = {
-        metric.name: further.get(metric.columns[0], score.mean_delta_e)
+        metric.name: numbers.get(metric.columns[0], score.mean_delta_e)
         for metric in metrics_named(names)
     }
     return replace(score, metrics=first, further=further)

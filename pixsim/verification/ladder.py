@@ -55,8 +55,8 @@ class Rung:
     """Mean ΔE of one sensor on one film.
 
     across : samples of the film
-    render_noise : its target, as a fraction of the sensor's noise; a film of twice the samples
-        across has half of it
+    tolerance_delta_e : of the error by the render's noise; a film of twice the samples across has
+        half of it. None where the render has no noise
     seconds : of render and score
     mean_delta_e : of the sensor
     light, light_limit : errors that pixsim states by itself, and their limits
@@ -64,7 +64,7 @@ class Rung:
     """
 
     across: int
-    render_noise: float
+    tolerance_delta_e: float | None
     seconds: float
     mean_delta_e: float
     light: LightError = field(repr=False)
@@ -232,6 +232,13 @@ def measure_accuracy(
     still |= dict.fromkeys(("tolerance_delta_e", "max_seconds", "window_mm"))
     request = light_request(Case(settings.model_copy(update=still), resolved=(scene, camera)))
     light, _ = rendered_light(request, progress("render"))
+    assert light.noise is not None
+    request = replace(
+        request,
+        settings=request.settings.model_copy(
+            update={"tolerance_delta_e": light.noise.tolerance_delta_e}
+        ),
+    )
     rungs, reference = climb(
         request, light.image.shape[1], _QUICK_EFFORTS if quick else EFFORTS, progress("ladder")
     )
@@ -299,24 +306,26 @@ def _measure(
 ) -> tuple[Rung, Array]:
     """Return a rung, and the standard noise of its frame.
 
-    noise_factor : render noise, relative to that of the settings
+    noise_factor : tolerance of the render's noise, relative to that of the settings
     noise : standard noise of another rung's frame. None draws it
     """
-    render_noise = noise_factor * request.settings.render_noise
-    noisier_request = replace(
-        request, settings=request.settings.model_copy(update={"render_noise": render_noise})
-    )
+    tolerance_delta_e = request.settings.tolerance_delta_e
+    if tolerance_delta_e is not None:
+        tolerance_delta_e *= noise_factor
+    noisier_settings = request.settings.model_copy(update={"tolerance_delta_e": tolerance_delta_e})
+    noisier_request = replace(request, settings=noisier_settings)
     scene = request.scene.with_resolution(across)
     plan = request.plan_of(scene)
     start = time.perf_counter()
     with suppressed_warnings():  # the default render gives them
-        image, _ = noisier_request.render(scene, plan, use_cache=False)
+        rendered = noisier_request.render(scene, plan, use_cache=False)
+        image = rendered.image
         image.header |= white_header([(imaging, image)])
         (chain,) = chains_of_film([(image, imaging.display)], [None], imaging)
         if noise is None or noise.shape != chain.signal_e_per_s.shape:
             noise = standard_noise_of(chain, imaging, 0)
         mean_delta_e = score_with_noise(chain, noise).mean_delta_e
         seconds = time.perf_counter() - start
-        film = measure_film(image, [imaging], chart=plan.film.chart)
+        film = measure_film(image, [imaging], chart=plan.film.chart, halves=rendered.halves)
     light, limit = light_error_and_limit(image.header, film)
-    return Rung(across, render_noise, seconds, mean_delta_e, light, limit), noise
+    return Rung(across, tolerance_delta_e, seconds, mean_delta_e, light, limit), noise

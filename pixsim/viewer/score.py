@@ -174,32 +174,28 @@ def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
 # --- the errors of its light
 
 
-def noise_error_and_limit(header: Mapping[str, Any]) -> tuple[LightError, LightError]:
-    """Return the error by the noise of a render, and its limit: the tolerance, else the error that
-    is left at the target.
-
-    The target is a fraction of the sensor's noise, with which the error falls.
+def noise_error_and_limit(
+    header: Mapping[str, Any], *, is_corrected: bool = False
+) -> tuple[LightError, LightError]:
+    """Return the error of a mean ΔE by the noise of a render, and the largest tolerated error.
 
     header : of an irradiance; a file of another program may hold anything in it, and then nothing
         is known
+    is_corrected : whether the bias by the noise is taken off the mean ΔE
     """
     stated = header.get("render_noise")
     noise = stated if isinstance(stated, Mapping) else {}
-    numbers = (noise.get(name) for name in ("fraction", "target", "delta_e", "tolerance_delta_e"))
-    fraction, target, delta_e, tolerance = (
-        value if isinstance(value, float | int) else None for value in numbers
+    delta_e, tolerance = (
+        value if isinstance(value, float | int) else None
+        for value in (noise.get(name) for name in ("delta_e", "tolerance_delta_e"))
     )
-
-    if delta_e is not None and tolerance is not None:
-        return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=tolerance)
-    if fraction is None or target is None:
-        return NOT_MEASURED, NOT_MEASURED
     if delta_e is None:
-        return LightError(noise_delta_e=math.nan), LightError(
-            noise_delta_e=math.nan if fraction > target else None
-        )
-    limit = delta_e * (target / fraction) if fraction > 0 else math.inf
-    return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=limit)
+        return NOT_MEASURED, NOT_MEASURED
+    biases = noise.get("bias")
+    if isinstance(biases, Mapping) and not is_corrected:
+        bias = biases.get("mean_delta_e", 0.0)
+        delta_e += abs(bias) if isinstance(bias, float | int) else 0.0
+    return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=tolerance)
 
 
 def converged(error: LightError, limit: LightError) -> bool:

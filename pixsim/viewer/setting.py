@@ -45,12 +45,16 @@ class Effort(Record):
     tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
         None,
         description=(
-            "largest error of the mean ΔE by the film, and by the noise of the render in place of"
-            " render_noise"
+            "largest error of the mean ΔE by the film, and by the noise of the render (absent: the"
+            " larger of 0.01 and 2 %; 100 accepts any noise)"
         ),
     )
-    render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
-        0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
+    render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
+        None,
+        description=(
+            "largest render noise, as a fraction of the sensor's temporal noise, beside the"
+            " tolerances of the metrics (absent: these alone end a render)"
+        ),
     )
     resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM})] = (
         Field(

@@ -688,14 +688,8 @@ def _lens_decides(case: UserSettings, name: str) -> bool | None:
 
 
 def _effort_acts(case: UserSettings, name: str) -> bool:
-    """Settings of the effort act where light is rendered; a tolerance in ΔE replaces the render
-    noise.
-    """
-    settings = case.settings
-    replaced = (
-        name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
-    )
-    return case.picture is None and not replaced
+    """Settings of the effort act where light is rendered."""
+    return case.picture is None
 
 
 def _render_depends(case: UserSettings, name: str) -> bool | None:

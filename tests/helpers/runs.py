@@ -44,7 +44,7 @@ def run_result(
     score: Any = SimpleNamespace(
         frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0]
     )
-    noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0))
+    noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0), bias={})
     rendered: Any = film and SimpleNamespace(film=film, noise=noise)
     light: Any = SimpleNamespace(header=header)
     chain: Any = SimpleNamespace(colour_chart=None)

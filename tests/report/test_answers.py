@@ -38,7 +38,7 @@ FILM = FilmError(
     (256, 256), 10.0, (7.5,), (0.6,), (0.02,), "the limit of 4096 samples across for 20 pictures"
 )
 FILMS = [None, FILM, replace(FILM, delta_e=(math.nan,)), replace(FILM, delta_e=(0.01,), limit="")]
-NOISE = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
+NOISE = {"ended_by": "samples", "delta_e": 0.36, "tolerance_delta_e": 0.02}
 NOISES = [{}, {"render_noise": NOISE}]
 CAUSES = [  # the longest words of each kind
     Cause("only 3.1 codes of the ADC between black and display white", 64.0, "more bits"),

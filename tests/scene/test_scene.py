@@ -494,7 +494,7 @@ def test_a_chart_is_seen_again_without_mitsuba(
         trees._recent_tree.cache_clear()
         scene = load("csf").with_resolution(256)
         plan = make_render_plan(scene, pixel=pixsim.Pixel(pitch_um=20.0), exact=True)
-        image, _ = render_until(scene, scene.camera(), plan, [], pixsim.Exposure())
+        image = render_until(scene, scene.camera(), plan, [], pixsim.Exposure()).image
         seen.append((scene.content_hash, image.data.mean()))
         monkeypatch.setattr(mitsuba, "import_mitsuba", lambda _: pytest.fail("Mitsuba is imported"))
     assert seen[0] == seen[1]
@@ -661,5 +661,5 @@ def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
     scene = replace(scene, diffuser=True)
     job = (scene, scene.camera(), make_render_plan(scene), [pixsim.Pixel(**PIXEL)])
     with pytest.warns(UserWarning, match="its time limit of 0.001 s"):
-        light, _ = render_until(*job, pixsim.Exposure(), render_noise=1e-9, max_seconds=1e-3)
+        light = render_until(*job, pixsim.Exposure(), render_noise=1e-9, max_seconds=1e-3).image
     assert plate_radiance(light) == pytest.approx(IRRADIANCE * AT_45, rel=1e-4)

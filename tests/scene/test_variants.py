@@ -412,7 +412,7 @@ def test_cached_renders_are_of_one_variant(
         card(works)
         scene = replace(small_scene(), choice=choice)
         job = (scene, scene.camera(), make_render_plan(scene), [pixsim.Pixel(pitch_um=100.0)])
-        image, _ = render_until(*job, pixsim.Exposure(), render_noise=10.0, use_cache=True)
+        image = render_until(*job, pixsim.Exposure(), render_noise=10.0, use_cache=True).image
         assert image.header["variant"] == choice.variant
         counts.append(len(list((tmp_path / "render").glob("*"))))
     assert 0 < counts[0] < counts[1] == counts[2]

@@ -24,7 +24,7 @@ from pixsim import Camera, Develop, Display, Exposure, SpectralImage, Study
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.lens_options import LensOptions
-from pixsim.scene.convergence import RenderNoise
+from pixsim.scene.convergence import Rendered, RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
 from pixsim.scene.rules import Chart
@@ -302,14 +302,15 @@ def rendered(*errors: Callable[[int], float], **options: Any) -> tuple[FilmError
     scene = pixsim.load_scene("csf", resolution=256)
     widths: list[int] = []
 
-    def render(scene: Any, plan: Any) -> tuple[SpectralImage, RenderNoise]:
+    def render(scene: Any, plan: Any) -> Rendered:
         width = scene.resolution or 256
         widths.append(width)
         uniform = np.ones((1, 1)), np.broadcast_to(np.float32(1), (1, width, width))
         image = SpectralImage([550.0], 20.0, 2400 / width, factors=uniform)
-        return image, RenderNoise(0.1, 0.1, 0.2, 2, "target")
+        return Rendered(image, RenderNoise(0.1, 0.1, 0.2, 4, "target"))
 
-    def measure(image: SpectralImage, plan: Any) -> FilmError:
+    def measure(rendered: Rendered, plan: Any) -> FilmError:
+        image = rendered.image
         delta_e = tuple(error(image.shape[1]) for error in errors)
         count = len(errors)
         return FilmError(image.shape, image.pitch_um, (5.0, 0.5)[:count], delta_e, (0.01,) * count)

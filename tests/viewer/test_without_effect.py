@@ -391,8 +391,15 @@ INSET = {"fill_factor": 0.4, "fill_factor_law": "inset"}
         ({"max_repeats": 16, "refine": False}, {"max_repeats"}),
         ({"max_repeats": 16, "max_evaluations": 5000, "target_ci_um": 0.1}, set()),
         ({"refine": False, "target_ci_um": 0.1}, {"refine"}),
-        ({"tolerance_delta_e": 0.01, "render_noise": 0.1}, {"render_noise"}),
-        ({"render_noise": 0.1, "tolerance_e": 1e-4, "max_seconds": 60.0}, set()),
+        (
+            {
+                "render_noise": 0.1,
+                "tolerance_delta_e": 0.01,
+                "tolerance_e": 1e-4,
+                "max_seconds": 60.0,
+            },
+            set(),
+        ),
         ({"metrics": ["npwe"], "metric": {"detectability": {"registrations": 4}}}, set()),
         (
             {"metrics": ["information"], "metric": {"detectability": {"registrations": 4}}},
