@@ -40,6 +40,7 @@ _EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "window_mm": 1.0,
     "registration": [0.0, 0.5],
     "tolerance_delta_e": 0.01,
+    "render_noise": 0.2,
     "target_ci_um": 0.1,
     "max_evaluations": 1000,
     "max_seconds": 60.0,
