@@ -55,8 +55,8 @@ UNKNOWN = 8.0
 # Beyond a time limit, for the first group, without which there is no picture: a share of it, and s.
 _GRACE = 0.5
 _GRACE_S = 1.5
-# Standard errors of an answer in its error: Student's t of four quarters, 90 % on both sides.
-_STANDARD_ERRORS = 2.35
+# Standard errors of an answer in its error: Student's t of four quarters, 95 % on both sides.
+_STANDARD_ERRORS = 3.18
 _MIN_ORDER = 0.5  # of the bias in the number of samples: of noise that is larger than the picture
 _MAX_ORDER = 1.0  # and of small noise
 # Answers are measured again at this share of the samples that they are expected to need, and at

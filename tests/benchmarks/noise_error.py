@@ -31,7 +31,7 @@ _SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_de
 <float name="focus_distance" value="1.6"/>
 <transform name="to_world"><lookat origin="0, -1.6, 0.4" target="0, 0, 0.1" up="0, 0, 1"/></transform>
 <sampler type="independent"><integer name="sample_count" value="64"/></sampler>
-<film type="specfilm"><integer name="width" value="48"/><integer name="height" value="48"/></film></sensor>
+<film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="48"/></film></sensor>
 <shape type="rectangle"><transform name="to_world"><scale value="2"/></transform>
 <bsdf type="diffuse"><texture type="checkerboard" name="reflectance"><float name="color0" value="0.2"/>
 <float name="color1" value="0.7"/><transform name="to_uv"><scale value="20"/></transform></texture></bsdf></shape>
