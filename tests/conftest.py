@@ -56,10 +56,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: item.get_closest_marker("longest") is None)
-
-
 def pytest_collection_finish() -> None:
     """Tests that are collected stay until the end: the garbage collector need not look at a million
     objects again and again.

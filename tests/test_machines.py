@@ -196,13 +196,6 @@ SMALL = "--resolution 32 --display.dots 32 --render-noise 10"
 COMPARE = f"compare 0.35um 0.25um --scene own.xml --jobs 2 --repeats 2 {SMALL} --out compare"
 
 
-NAMES = [
-    name
-    for name in sorted(
-        {*sys.stdlib_module_names, *packages_distributions(), "sitecustomize", "usercustomize"}
-    )
-    if name.isidentifier()
-]
 CODE = "open({log!r}, 'a').write({name!r} + '\\n')\nraise ImportError('of the current folder')\n"
 SCRIPT = '#!/bin/sh\necho {name} >> "{log}"\n'
 PROGRAMS = (
@@ -225,9 +218,8 @@ def folder(tmp_path: Path) -> Path:
     place = tmp_path / "theirs"
     place.mkdir()
     (place / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
-    for name in ("spectra", "charts"):
-        shutil.copytree(Path(HOME, "scenes", name), place / name)
-    scene = Path(HOME, "scenes/line_lamp.xml").read_text(encoding="utf-8")
+    shutil.copytree(Path(HOME, "scenes/charts"), place / "charts")
+    scene = Path(HOME, "scenes/flat.xml").read_text(encoding="utf-8")
     (place / "own.xml").write_text(
         f"{scene}<!-- not pixsim's: a child renders it -->", encoding="utf-8"
     )
@@ -251,7 +243,8 @@ def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
     """Of any name of the standard library and of the packages that are installed; by a child that
     renders, and by workers.
     """
-    log = plant(folder, NAMES)
+    names = {*sys.stdlib_module_names, *packages_distributions(), "sitecustomize", "usercustomize"}
+    log = plant(folder, [name for name in names if name.isidentifier()])
     done = process(COMPARE, folder=folder, PYTHONPATH=HOME)
     assert done.returncode == 0, done.stderr
     assert not log.exists(), log.read_text()

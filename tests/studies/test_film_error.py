@@ -99,9 +99,9 @@ def test_error_of_a_difference_is_measured_on_the_difference() -> None:
     are alike.
     """
     fine = light(
-        covered(lambda x, y: np.where((0.6 * x + 0.8 * y) * 7 % 1 < 0.5, 0.1, 0.9), 4, 1536)
+        covered(lambda x, y: np.where((0.6 * x + 0.8 * y) * 7 % 1 < 0.5, 0.1, 0.9), 4, 1024)
     )
-    film = coarser(fine, 6)
+    film = coarser(fine, 4)
     sensors = [imaging(13.0, 128), imaging(19.5, 128)]
     steps, other_steps = (film_steps(film, sensor, None, 19.5) for sensor in sensors)
     error, other_error = np.diff([delta_e_of([film, fine], sensor) for sensor in sensors])[:, 0]

@@ -768,11 +768,10 @@ alone = true
 name = "dark current"
 range_of = "dark_current_na_per_cm2"
 alone = true
-[[axis]]
-name = "peak"
-range_of = "peak_quantum_efficiency"
-alone = true
 """
+
+
+PEAK = Axis.model_validate({"name": "peak", "range_of": "peak_quantum_efficiency", "alone": True})
 
 
 @pytest.fixture(scope="module")
@@ -806,7 +805,8 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
     """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its
     upper end is 0.37. The random streams are those of the base.
     """
-    study = with_range_ends(load_study(desk / "tiny.toml", desk / "sensitivity.toml"))
+    study = load_study(desk / "tiny.toml", desk / "sensitivity.toml")
+    study = with_range_ends(study.model_copy(update={"axis": (*study.axis, PEAK)}))
     assert (study.name, study.stream_name, study.repeats) == ("tiny-sensitivity", "tiny", 2)
     labels = {axis.name: [point.label for point in axis.points] for axis in study.axis[2:]}
     assert labels == {
