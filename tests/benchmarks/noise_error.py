@@ -23,7 +23,14 @@ from pixsim.viewer.setting import Run
 LONGER = 64
 SEEDS = range(1, 6)
 # Of mean ΔE where the default would take minutes
-TOLERANCES_DELTA_E = {"cornell_box": 0.3, "still_life": 0.3}
+TOLERANCES_DELTA_E = {
+    "cornell_box": 0.3,
+    "still_life": 0.3,
+    "sphere": 0.2,
+    "metal": 0.2,
+    "glass": 0.2,
+    "yard": 1.0,
+}
 WINDOWS_MM = (None, 1.0, 0.5)
 PACKAGED = ("cornell_box", "still_life", "macbeth", "yard", "line_lamp")
 _SCENE = """<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="6"/></integrator>

@@ -1,4 +1,4 @@
-"""Rendering to a noise target: the reported noise is that of independent renders.
+"""Rendering until answers are known: the reported noise is that of independent renders.
 
 Cached renders: only equal light shares an entry, and the bytes are those of new renders.
 """
