@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import load_scene as load_scene
     from pixsim.sensor import photodiode as photodiode, pixel as pixel
     from pixsim.sensor.correction_options import Correction as Correction
+    from pixsim.sensor.dynamic_range import dynamic_range as dynamic_range, snr_db as snr_db
     from pixsim.sensor.exposure import Exposure as Exposure
     from pixsim.sensor.motion_options import Motion as Motion
     from pixsim.sensor.pixel import derive as derive
@@ -66,6 +67,7 @@ _NAMES_OF = {
     "base.errors": "PixsimError",
     "optics.camera": "Camera",
     "sensor.correction_options": "Correction",
+    "sensor.dynamic_range": "dynamic_range snr_db",
     "sensor.exposure": "Exposure",
     "sensor.motion_options": "Motion",
     "sensor.pixel_options": "Pixel",

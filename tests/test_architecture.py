@@ -55,7 +55,7 @@ SETTINGS = {
     "light.curves", "light.quantities", "light.tables", "optics.camera", "optics.chief_rays", "optics.lens_options",
     "optics.quantities", "scene.study_scene", "sensor.colour_options", "sensor.correction_options",
     "sensor.motion_options", "sensor.exposure",
-    "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
+    "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.readout_options", "sensor.spread", "sensor.stack_options",
     "sensor.unit_slips",
     "studies.settings", "viewer.develop_options", "viewer.display_options", "viewer.merging",
     "viewer.metric_options", "viewer.requirements", "viewer.setting", "viewer.settings_file",

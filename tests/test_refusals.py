@@ -290,9 +290,11 @@ def test_command_line_refuses_what_a_field_does_not_allow(
         name: OTHER_OPTIONS.get(option, option) for name, option in option_names.items()
     }
 
+    record_lists = {path[0] for _, path in tables_inside(record) if path and path[-1] == 0}
+
     def is_option(name: str, value: Any) -> bool:
         kind = fields(record)[name]["type"]
-        if option_names[name] not in options or kind == "model":
+        if option_names[name] not in options or kind == "model" or name in record_lists:
             return False
         return value is None or is_refused_text(kind, value)
 

@@ -111,7 +111,7 @@ def enlarged(result: RunResult, place: TargetPlace) -> Iterator[Block]:
     raw_e = frame.estimate_e[:rows][part]
     level_e = np.full(light_e.shape, light_e.mean())
     if frame.layout is not None:
-        channels = frame.layout.numbers(frame.dn.shape)[:rows][part]
+        channels = frame.layout.numbers(frame.shape)[:rows][part]
         for channel in np.unique(channels):
             is_channel = channels == channel
             level_e[is_channel] = light_e[is_channel].mean()

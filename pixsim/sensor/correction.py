@@ -7,8 +7,10 @@ residual noise of its correction.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -20,9 +22,10 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.merge import merged_variance_e2
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
+from pixsim.sensor.readout import Frame, Sensor, read_electrons, read_out, sample_sensor
 
 _DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
 # median absolute deviation of a normal distribution over its standard deviation
@@ -65,9 +68,15 @@ def correct(
     sensor = replace(sensor, readout=readout)
     time_s = frame.integration_s
     dark_rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
+    read: Callable[..., NDArray[Any]] = read_electrons if readout.readings else read_out
 
-    def electrons(dn: NDArray[np.int32], rng: np.random.Generator) -> Array:
-        """Electrons above the level of darkness, for which a frame has its dark rows."""
+    def electrons(dn: NDArray[Any], rng: np.random.Generator) -> Array:
+        """Electrons above the level of darkness, for which a frame has its dark rows.
+
+        dn : codes, or the merged electrons of several readings
+        """
+        if readout.readings:
+            return _above_dark_rows(dn, time_s, dark_rows, rng)
         if dark_rows is None:
             return np.asarray((dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e)
         clamp = read_out(np.zeros(dark_rows.shape), time_s, dark_rows, rng)
@@ -80,11 +89,11 @@ def correct(
         light = np.broadcast_to(light_e, sensor.shape)
         total = np.zeros(sensor.shape)
         for _ in range(count):
-            total += electrons(read_out(light, time_s, sensor, rng), rows_rng)
+            total += electrons(read(light, time_s, sensor, rng), rows_rng)
         total /= count
         return total
 
-    picture = electrons(frame.dn, picture_rows_rng)
+    picture = electrons(frame.estimate_e if readout.readings else frame.dn, picture_rows_rng)
     defects = np.zeros(sensor.shape, bool)
 
     dark: Array | None = None
@@ -124,6 +133,16 @@ def correct(
             _replace_defects(saturated_share, defects, frame.layout)
             saturated = saturated_share > ROUNDING
     return replace(frame, corrected_e=picture.astype(np.float32), saturated=saturated)
+
+
+def _above_dark_rows(
+    merged_e: Array, time_s: float, dark_rows: Sensor | None, rng: np.random.Generator
+) -> Array:
+    """Return merged electrons less the mean of the dark rows in each column, if there are any."""
+    if dark_rows is None:
+        return merged_e
+    clamp = read_electrons(np.zeros(dark_rows.shape), time_s, dark_rows, rng)
+    return np.asarray(merged_e - clamp.mean(axis=0, keepdims=True))
 
 
 def _channel_masks(layout: Layout | None, shape: tuple[int, int]) -> list[NDArray[np.bool_]]:
@@ -257,6 +276,9 @@ def residual_variance_e2(
     flat : (s/L)² (L + T (1 + 1/n_c))/n_f
     gain : (PRNU · s)² without flat frames
 
+    Of several readings s + T of the temporal part is the variance of their merge, and T elsewhere
+    that of the most sensitive one.
+
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in
     PRNU and 1/√L.
 
@@ -286,4 +308,8 @@ def residual_variance_e2(
         offsets *= (1 - ratio) ** 2
         flat = ratio**2 * (level_e + dark_variance * (1 + clamp)) / correction.flat_frames
         gain = 0.0
-    return Residual(signal_e + dark_variance * (1 + clamp), offsets, flat, gain)
+    light_e2: Array | float = signal_e
+    if readout.readings:
+        merged_e2 = merged_variance_e2(readout, signal_e, integration_s, fixed_pattern=False)
+        light_e2 = merged_e2 - dark_variance
+    return Residual(light_e2 + dark_variance * (1 + clamp), offsets, flat, gain)

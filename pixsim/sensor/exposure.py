@@ -22,7 +22,7 @@ _GAIN_WORDS = Words(
 _FRAMES_WORDS = Words(
     also=("hdr",),
     instead={
-        "hdr": "frames sums equal subexposures; exposures of several lengths are not modelled."
+        "hdr": "frames sums equal subexposures; pixel.readout.kind = 'staggered' has several."
     },
 )
 

@@ -32,6 +32,7 @@ from pixsim.sensor.quantities import (
     VoltageMismatch,
     Well,
 )
+from pixsim.sensor.readout_options import ReadoutOptions
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.unit_slips import slip_hint
 
@@ -435,6 +436,11 @@ class PixelOptions(Record):
             " `pixsim datasheet` uses at least 6 standard deviations of the dark signal"
         ),
     )
+    readout: Annotated[
+        ReadoutOptions | None, Number({"kind": "staggered", "ratio": 16.0}, is_certain=True)
+    ] = Field(
+        None, description="several readings of the pixel, and their merge (absent: one reading)"
+    )
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
         300.15,
         description=(
@@ -463,6 +469,12 @@ class PixelOptions(Record):
                 f" '{self.conversion}'; the full well is solved for a linear pixel that clips"
                 " (well_limit = 'swing', conversion = 'linear'). Give full_well_e instead"
             )
+        if self.is_read_several_times and not is_linear:
+            raise ValueError(
+                f"got a readout of several readings with well_limit = '{self.well_limit}' and"
+                f" conversion = '{self.conversion}'; allowed: well_limit = 'swing' and conversion ="
+                " 'linear'"
+            )
         return self
 
     @model_validator(mode="after")
@@ -473,6 +485,11 @@ class PixelOptions(Record):
                 f" {2**self.bits - 1}"
             )
         return self
+
+    @property
+    def is_read_several_times(self) -> bool:
+        """Whether the pixel has several readings."""
+        return self.readout is not None and not self.readout.is_single
 
     @property
     def bin_side(self) -> int:

@@ -13,6 +13,9 @@ sensor, and of a burst the saturated pixels. Each format stores the metadata as 
 
 The saturated pixels of a burst are an array of an npz, and a text in the other formats: their bits,
 row by row, compressed by zlib, in Base64.
+
+Of pixels that are read several times, the readings are one below the other, the most sensitive
+first; `readings` has the facts of each as JSON.
 """
 
 from __future__ import annotations
@@ -41,7 +44,7 @@ from pixsim.base.notes import Note, warn
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
 from pixsim.sensor.quantities import FrameBits, Pitch, SaturatedFraction
-from pixsim.sensor.readout import Frame
+from pixsim.sensor.readout import Frame, MergedFrame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -79,6 +82,8 @@ class RawFrame:
     layout : which channel each value belongs to, as in a `Frame`
     saturated : (rows, columns) which pixels of a burst were full in any of its subexposures, as in
         a `Frame`
+    readings : of pixels that are read several times, whose readings are one below the other in
+        `dn`: gain, black and white level, response and dark electrons of each, by its name
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -91,6 +96,18 @@ class RawFrame:
     saturated_fraction: SaturatedFraction | None = None
     layout: Layout | None = None
     saturated: NDArray[np.bool_] | None = None
+    readings: dict[str, dict[str, float]] | None = None
+
+    def reading(self, name: str) -> NDArray[Any]:
+        """Return the digital numbers of one of several readings, (rows, columns).
+
+        Raises PixsimError if the file has no such reading.
+        """
+        names = list(self.readings or {})
+        if name not in names:
+            allowed = ", ".join(names) or "a file of several readings"
+            raise invalid("reading", f"'{name}'", allowed)
+        return np.array_split(self.dn, len(names))[names.index(name)]
 
     @property
     def top_code_fraction(self) -> float | None:
@@ -123,6 +140,7 @@ ENCODING = "encoding"  # what a file states about a display's encoding of its va
 # other
 LAYOUT = "layout"
 SATURATED = "saturated"
+READINGS = "readings"
 _BLACK_LEVEL = "black_level_dn"
 FACTS = (
     "black_level_dn",
@@ -146,8 +164,13 @@ def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     metadata: dict[str, Any] = {}
     if frame.layout is not None:
         metadata[LAYOUT] = str(frame.layout)
+    if isinstance(frame, MergedFrame):
+        metadata[READINGS] = json.dumps(_facts_of_readings(frame))
+    elif isinstance(frame, RawFrame) and frame.readings:
+        metadata[READINGS] = json.dumps(frame.readings)
     # Of a single exposure, the codes tell which pixels were saturated.
     is_burst = isinstance(frame, RawFrame) or frame.exposures > 1
+    is_burst = is_burst and READINGS not in metadata  # which are of another shape
     if frame.saturated is not None and is_burst:
         metadata[SATURATED] = frame.saturated
 
@@ -161,6 +184,32 @@ def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     metadata |= {name: float(facts[name]) for name in FACTS}
     metadata["bits"] = int(frame.bits)
     return metadata
+
+
+def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
+    """Return what turns the codes of each reading into electrons of light, by its name."""
+    count = frame.exposures
+    return {
+        reading.name: {
+            "dn_per_e": reading.readout.dn_per_e,
+            "black_level_dn": count * reading.readout.adc.black_level_dn,
+            "white_level_dn": count * reading.readout.adc.top_code_dn,
+            "response": reading.response,
+            "dark_e": reading.dark_e(frame.integration_s),
+        }
+        for reading in frame.readout.readings
+    }
+
+
+def _readings_of(metadata: dict[str, Any]) -> dict[str, dict[str, float]] | None:
+    """Return the facts of several readings that a file states, if they are such facts."""
+    with suppress(KeyError, TypeError, ValueError, AttributeError, RecursionError):
+        stated = json.loads(str(metadata[READINGS]))
+        return {
+            str(name): {fact: float(value) for fact, value in facts.items()}
+            for name, facts in stated.items()
+        }
+    return None
 
 
 def _cell_of(levels: Array) -> Array:
@@ -220,7 +269,10 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
         raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
 
     name = f"raw frame for '{path}'"
-    dn = np.asarray(frame.dn)
+    if isinstance(frame, MergedFrame):
+        dn = np.concatenate(list(frame.readings.values()))
+    else:
+        dn = np.asarray(frame.dn)
     facts = _facts_of(frame)
     _check_whole(name, dn)
     bits = _BITS_OF.get(path.suffix.lower(), _MAX_BITS)
@@ -229,7 +281,7 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
             name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead."
         )
     for fact, value in facts.items():
-        is_number = fact not in (LAYOUT, SATURATED) and not np.ndim(value)
+        is_number = fact not in (LAYOUT, SATURATED, READINGS) and not np.ndim(value)
         if is_number and not math.isfinite(stated_number(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
@@ -346,6 +398,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
         **facts,
         layout=layout_of(metadata, dn.shape),
         saturated=saturated_of(metadata, dn.shape),
+        readings=_readings_of(metadata),
     )
 
 
@@ -460,7 +513,7 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
-    stored = (*FACTS, LAYOUT, SATURATED)
+    stored = (*FACTS, LAYOUT, SATURATED, READINGS)
 
     def check(array: str, values: NDArray[Any]) -> None:
         if array in stored and path.suffix.lower() == ".npz":

@@ -8,6 +8,7 @@ Closed forms of noise, range and codes, and the kernels that draw frames, take a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,19 +18,23 @@ from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.mismatch import DarkSpread
+from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel import (
     BLACK_SIGMAS,
     PixelPhysics,
     follows_noise,
     read_noises_e,
+    reset_noise_e,
     usual_black_level_dn,
 )
 from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb
+from pixsim.sensor.readout_options import CollectorOptions, ReadingOptions, ReadoutOptions
 
 # The public names; everything else is internal.
-__all__ = ["Adc", "Readout", "dark_spread_e", "least_black_level_dn"]
+__all__ = ["Adc", "Reading", "Readout", "dark_spread_e", "least_black_level_dn"]
+
+_FF_UV = 1e21  # capacitance in fF of a charge in C and its voltage in µV
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,9 @@ class Readout:
     exposures : number of subexposures that are summed to a frame
     bin_side : pixels along a side of those whose charge is read as one
     silent : names of noise sources that are switched off
+    readings : of a pixel that is read several times, from the most sensitive one on; then all
+        numbers of this record but `saturation_e` are those of the first one
+    merge : how the readings become one estimate of electrons, or None
 
     Raises PixsimError if the codes of a frame have more than 31 bits.
     """
@@ -121,6 +129,8 @@ class Readout:
     exposures: Count = 1
     bin_side: Count = 1
     silent: tuple[str, ...] = ()
+    readings: tuple[Reading, ...] = ()
+    merge: ReadoutOptions | None = None
 
     def __post_init__(self) -> None:
         """Raise PixsimError if the codes of a frame have more than 31 bits."""
@@ -166,6 +176,9 @@ class Readout:
         before_e, after_e = read_noises_e(physics.pixel, physics.technology)
         readout = cls(physics, _adc_of(physics, bin_side**2), before_e, after_e, bin_side=bin_side)
         readout = readout._with_black_level()
+        if physics.pixel.is_read_several_times:
+            assert physics.pixel.readout is not None
+            readout = _with_readings(readout, physics.pixel.readout)
         return readout if exposure is None else readout.at(exposure)
 
     def at(self, exposure: Exposure) -> Readout:
@@ -180,7 +193,7 @@ class Readout:
         """
         if gain_db == self.gain_db:
             return self
-        return replace(self, gain_db=gain_db)._with_black_level()
+        return self.with_all(lambda other: replace(other, gain_db=gain_db)._with_black_level())
 
     def _with_black_level(self) -> Readout:
         """Return the reading with the black level of a data sheet that states none: 6 σ of the dark
@@ -203,6 +216,13 @@ class Readout:
             return 0.0
         return self.adc.black_level_dn / self.dn_per_e
 
+    def with_all(self, change: Callable[[Readout], Readout]) -> Readout:
+        """Return this record and its readings, each changed by a function."""
+        readings = tuple(
+            replace(reading, readout=change(reading.readout)) for reading in self.readings
+        )
+        return replace(change(self), readings=readings)
+
     def burst(self, exposures: Count) -> Readout:
         """Return the reading of frames that are the sum of subexposures. Raises PixsimError as
         `Readout` does.
@@ -221,14 +241,16 @@ class Readout:
         """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC
         stays.
         """
-        return replace(self, physics=replace(self.physics, **numbers))
+        return self.with_all(
+            lambda other: replace(other, physics=replace(other.physics, **numbers))
+        )
 
     def with_silent(self, names: tuple[str, ...]) -> Readout:
         """Return the same reading of a pixel with some noise sources switched off, and no others.
 
         names : of these sources
         """
-        return replace(self, silent=names)
+        return self.with_all(lambda other: replace(other, silent=names))
 
     @property
     def _pixels(self) -> int:
@@ -302,8 +324,10 @@ class Readout:
     @property
     def saturation_e(self) -> float:
         """Signal that saturates a frame: the lower of the full well and of the ADC's range, in each
-        exposure.
+        exposure; of several readings, in the last one, over its response.
         """
+        if self.readings:
+            return self.exposures * self.readings[-1].limit_e / self.readings[-1].response
         return self.exposures * min(self.full_well_e, self.adc_range_e)
 
     @property
@@ -394,3 +418,210 @@ def _dark_margin_dn(readout: Readout, integration_s: float) -> float:
         return margin_e * exposure_readout.amplification / exposure_readout.adc.gain_e_per_dn
     span_e = exposure_readout.adc_range_e + margin_e
     return margin_e * exposure_readout.adc.top_code_dn / span_e
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One of several readings of a pixel, in one exposure.
+
+    name : as in `Frame.readings`
+    readout : of its collector up to its limit, which is the full well there; dark current and
+        noise are those of this reading
+    collector : number of the collector; readings of one collector share its electrons
+    photodiode : number of the photodiode; collectors of one share its fixed pattern
+    response : light that the collector gets in a frame, over that of the first one: area, time and
+        filter
+    length_share : of its exposure, of the integration time
+    start_share, start_s : its exposure begins after this share of the integration time, and this
+        time
+    overflow : whether it reads the overflow capacitor, too
+    capacitor_dark_e_per_s : dark current of the capacitor, if it reads it
+    gain_error, black_error_dn : errors of its gain, relative, and of its black level, of which the
+        merge does not know
+    """
+
+    name: str
+    readout: Readout
+    collector: int
+    photodiode: int
+    response: float = 1.0
+    length_share: float = 1.0
+    start_share: float = 0.0
+    start_s: float = 0.0
+    overflow: bool = False
+    capacitor_dark_e_per_s: float = 0.0
+    gain_error: float = 0.0
+    black_error_dn: float = 0.0
+
+    @property
+    def limit_e(self) -> float:
+        """Largest charge that it can read."""
+        return self.readout.saturation_e
+
+    @property
+    def noise_e(self) -> float:
+        """Temporal noise behind the limit: reset, read and row noise, without rounding."""
+        return self.readout.noise_floor_e
+
+    @property
+    def rounding_e2(self) -> float:
+        """Variance by rounding, in electrons."""
+        return float(self.readout.rounding_variance_dn2 / self.readout.dn_per_e**2)
+
+    def valid_below_e(self, sigmas: float) -> float:
+        """Return the charge below which the reading is valid: so many standard deviations of the
+        noise behind the limit below it, offsets and rounding included.
+        """
+        spread_e = math.hypot(self.noise_e, self.readout.offset_e, math.sqrt(self.rounding_e2))
+        return self.limit_e - sigmas * spread_e
+
+    def dark_e(self, integration_s: float) -> float:
+        """Return the mean dark charge that it reads, of the collector and of the capacitor."""
+        return self.readout.dark_current_e_per_s * integration_s + self.capacitor_e(integration_s)
+
+    def capacitor_e(self, integration_s: float) -> float:
+        """Return the mean dark charge of the capacitor."""
+        return self.capacitor_dark_e_per_s * integration_s
+
+    def centre_s(self, integration_s: float) -> float:
+        """Return the time at the centre of its exposure, after the start of the first one."""
+        start_s = self.start_share * integration_s + self.start_s
+        return start_s + self.length_share * integration_s / 2
+
+
+def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
+    """Return a reading of a pixel with all readings of its options, the most sensitive first.
+
+    Charges grow with the area of the photodiode, as those of a data sheet do.
+
+    readout : what the pixel states itself, at 0 dB
+    """
+    collectors, readings = options.model
+    physics = readout.physics
+
+    physics_of = [_collector_physics(physics, collector) for collector in collectors]
+    # Exposures of one photodiode differ in their start and length alone.
+    exposure_fields = "name", "start_s", "start_share", "length_share"
+    diodes = [collector.model_dump(exclude=set(exposure_fields)) for collector in collectors]
+    numbers = {collector.name: number for number, collector in enumerate(collectors)}
+
+    made: list[Reading] = []
+    for reading in readings:
+        number = numbers[reading.collector]
+        collector = collectors[number]
+        siblings = [other for other in readings if other.collector == reading.collector]
+        limit_e = _limit_e(reading, siblings, collector, physics_of[number])
+        made.append(
+            Reading(
+                name=reading.name,
+                readout=_reading_readout(
+                    readout, reading, readings[0], physics_of[number], limit_e
+                ),
+                collector=number,
+                photodiode=diodes.index(diodes[number]),
+                response=collector.response * collector.length_share,
+                length_share=collector.length_share,
+                start_share=collector.start_share,
+                start_s=collector.start_s,
+                overflow=reading.overflow,
+                capacitor_dark_e_per_s=(
+                    physics.growth * collector.capacitor_dark_e_per_s if reading.overflow else 0.0
+                ),
+                gain_error=reading.gain_error,
+                black_error_dn=reading.black_error_dn,
+            )
+        )
+    made.sort(key=lambda reading: reading.limit_e / reading.response)
+    base = made[0].readout
+    whole = replace(base.physics, full_well_e=physics_of[made[0].collector].full_well_e)
+    return replace(base, physics=whole, readings=tuple(made), merge=options)
+
+
+def _collector_physics(physics: PixelPhysics, collector: CollectorOptions) -> PixelPhysics:
+    """Return the pixel with the numbers of a collector, and the dark charge of its exposure."""
+    growth = physics.growth
+    full_well_e = physics.full_well_e
+    if collector.full_well_e is not None:
+        full_well_e = growth * collector.full_well_e
+    dark_e_per_s = physics.dark_current_e_per_s
+    if collector.dark_current_e_per_s is not None:
+        dark_e_per_s = growth * collector.dark_current_e_per_s
+    return replace(
+        physics,
+        full_well_e=full_well_e,
+        dark_current_e_per_s=dark_e_per_s * collector.length_share,
+        prnu=physics.prnu if collector.prnu is None else collector.prnu,
+        dsnu=physics.dsnu if collector.dsnu is None else collector.dsnu,
+    )
+
+
+def _limit_e(
+    reading: ReadingOptions,
+    siblings: Sequence[ReadingOptions],
+    collector: CollectorOptions,
+    physics: PixelPhysics,
+) -> float:
+    """Return the largest charge that a reading can read of a pixel's collector.
+
+    siblings : all readings of the collector, whose lowest conversion gain has the voltage of the
+        full collector
+    """
+    capacity_e = physics.growth * collector.capacity_e
+    held_e = physics.full_well_e + (capacity_e if reading.overflow else 0.0)
+    if reading.limit_e is not None:
+        return min(held_e, physics.growth * reading.limit_e)
+
+    gains = [other.conversion_gain_uv_per_e for other in siblings]
+    if reading.conversion_gain_uv_per_e is None or None in gains:
+        return held_e
+    lowest = min(gain for gain in gains if gain is not None)
+    largest_e = physics.full_well_e
+    if any(other.overflow for other in siblings):
+        largest_e += capacity_e
+    return min(held_e, largest_e * lowest / reading.conversion_gain_uv_per_e)
+
+
+def _reading_readout(
+    readout: Readout,
+    reading: ReadingOptions,
+    first: ReadingOptions,
+    physics: PixelPhysics,
+    limit_e: float,
+) -> Readout:
+    """Return how one reading reads its collector.
+
+    readout : what the pixel states; its gain is that of the first reading
+    physics : of the collector
+    """
+    gain_uv_per_e = reading.conversion_gain_uv_per_e
+    reset_e = physics.reset_noise_e
+    if reading.resets is not None:
+        if reading.resets and gain_uv_per_e is None:
+            raise invalid(
+                "readout.reading.resets",
+                f"{reading.resets:g} of '{reading.name}' without its conversion gain",
+                "both, since the reset noise is that of the capacitance q over the gain",
+            )
+        capacitance_ff = 0.0 if gain_uv_per_e is None else _FF_UV * ELECTRON_C / gain_uv_per_e
+        reset_e = reset_noise_e(capacitance_ff, physics.pixel.temperature_k, reading.resets)
+    physics = replace(physics, full_well_e=limit_e, reset_noise_e=reset_e)
+
+    adc = readout.adc
+    if adc.gain_e_per_dn is None:
+        adc = replace(adc, span_e=readout._pixels * limit_e)
+    elif gain_uv_per_e is not None and first.conversion_gain_uv_per_e is not None:
+        ratio = first.conversion_gain_uv_per_e / gain_uv_per_e
+        adc = replace(adc, gain_e_per_dn=adc.gain_e_per_dn * ratio)
+    bits = adc.bits if reading.bits is None else reading.bits
+    adc = replace(adc, bits=bits)
+    if reading.black_level_dn is not None:
+        adc = replace(adc, black_level_dn=reading.black_level_dn)
+        stated = {"black_level_dn": reading.black_level_dn}
+        physics = replace(physics, pixel=physics.pixel.model_copy(update=stated))
+
+    before_e, after_e = readout.read_noise_e, readout.read_noise_after_gain_e
+    if reading.read_noise_e is not None:
+        before_e, after_e = reading.read_noise_e, 0.0
+    return replace(
+        readout, physics=physics, adc=adc, read_noise_e=before_e, read_noise_after_gain_e=after_e
+    )._with_black_level()

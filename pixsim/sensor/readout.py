@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,13 @@ from pixsim.sensor.integration import (
     mean_signal_rate,
     moved_signals,
     pixels_on,
+)
+from pixsim.sensor.merge import (
+    charges_of_codes_e,
+    estimated_variance_e2,
+    frame_weights,
+    merged_e,
+    merged_variance_e2,
 )
 from pixsim.sensor.motion import ImageMotion, motion_in_frame, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
@@ -130,7 +138,13 @@ def metered_motion(
 
     still_e_per_s : signal of that picture, (rows, columns)
     um_per_s : velocity [x, y] of the image on the sensor
+
+    Raises PixsimError for exposures one after another, of which each would see another picture.
     """
+    if any(reading.start_share or reading.start_s for reading in readout.readings):
+        hint = "Use a still scene, or exposures at one time, such as kind = 'split'."
+        got = "exposures one after another in light that moves"
+        raise invalid("pixel.readout", got, "light that stands still", hint)
     exposure = with_metered_gain(exposure, readout, float(still_e_per_s.max()))
     time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
     return motion_in_frame(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
@@ -150,6 +164,8 @@ class Sensor:
     dark_gain : (rows, columns) dark current relative to the mean pixel, positive, mean 1
     offset_e : (rows, columns)
     column_offset_e : (1, columns)
+    further : the sensors of further photodiodes of each pixel, if it has several; without their
+        own
     """
 
     readout: Readout
@@ -158,6 +174,7 @@ class Sensor:
     dark_gain: Array | None = field(repr=False)
     offset_e: Array | None = field(repr=False)
     column_offset_e: Array | None = field(repr=False)
+    further: tuple[Sensor, ...] = field(default=(), repr=False)
 
 
 def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.Generator) -> Sensor:
@@ -192,7 +209,9 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
     column_offset_e = np.empty((1, shape[1])) if column_spread_e else None
     if column_offset_e is not None:
         _draw_gaussian(column_spread_e, column_offset_e, rng)
-    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e)
+    diodes = {reading.photodiode: reading.readout for reading in reversed(readout.readings)}
+    further = tuple(sample_sensor(diodes[number], shape, rng) for number in sorted(diodes)[1:])
+    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e, further)
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -291,10 +310,7 @@ class Frame:
     @property
     def pixels(self) -> tuple[int, int]:
         """Rows and columns of pixels, or of their sums with binning."""
-        return (
-            self.dn.shape[0] // (1 if self.layout is None else self.layout.planes),
-            self.dn.shape[1],
-        )
+        return (self.shape[0] // (1 if self.layout is None else self.layout.planes), self.shape[1])
 
     @property
     def estimate_e(self) -> Array:
@@ -315,6 +331,11 @@ class Frame:
         return electrons
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of values."""
+        return self.mean_e.shape[0], self.mean_e.shape[1]
+
+    @property
     def electrons(self) -> Array:
         """The estimate of photo-electrons, (rows, columns), `estimate_e`."""
         return self.estimate_e
@@ -332,6 +353,53 @@ class Frame:
             self.mean_dark_e + self.dark_noise_e**2 + self.exposures / 12 / self.dn_per_e**2
         )
         return variance_e2
+
+
+@dataclass(frozen=True, kw_only=True)
+class MergedFrame(Frame):
+    """A frame of pixels that are read several times. `corrected_e` has the merged photo-electrons;
+    gain, black level and bits are those of the most sensitive reading.
+
+    readings : codes of each reading, (rows, columns) int32, by its name; of a burst, sums
+    readout : how the pixels are read
+    """
+
+    dn: NDArray[np.int32] = field(init=False, repr=False, compare=False)
+    readings: dict[str, NDArray[np.int32]] = field(repr=False)
+    readout: Readout = field(repr=False)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise PixsimError for `dn`: the codes are those of several readings."""
+        if name != "dn":
+            raise AttributeError(name)
+        names = ", ".join(f"readings['{reading}']" for reading in self.readings)
+        raise invalid(
+            "frame.dn",
+            "a frame of several readings, which has no codes of its own",
+            names,
+            "Its merged electrons are frame.estimate_e.",
+        )
+
+    @property
+    def estimate_variance_e2(self) -> Array:
+        """Estimated variance of `estimate_e` over frames of the same sensor, (rows, columns).
+
+        It is that of the weighted readings at the estimate, if it is above 0: of shot noise, dark
+        charge, read noise and rounding. It takes the weights as stated, not as chosen by noise.
+        """
+        weights = list(self.reading_weights.values())
+        return estimated_variance_e2(self.readout, self.estimate_e, self.integration_s, weights)
+
+    @cached_property
+    def reading_weights(self) -> dict[str, Array]:
+        """Share of each reading in the estimate, (rows, columns), by its name; of a burst, at the
+        mean of its codes.
+        """
+        codes = [code / self.exposures for code in self.readings.values()]
+        charges_e = charges_of_codes_e(self.readout, codes)
+        time_s = self.integration_s / self.exposures
+        weights = frame_weights(self.readout, charges_e, time_s)
+        return dict(zip(self.readings, weights, strict=True))
 
 
 def shot_noise(mean_e: NotNegativeArray, rng: np.random.Generator) -> Array:
@@ -390,9 +458,23 @@ def read_out(
     `frame_mean_dn` and `frame_variance_dn2`. Of a burst (`Readout.burst`) mean and time belong to
     all its subexposures together, and the frame is the sum of their codes.
 
-    Raises PixsimError if `mean_e` has not the shape of the sensor.
+    Raises PixsimError if `mean_e` has not the shape of the sensor, or if its pixels are read
+    several times.
     """
+    if sensor.readout.readings:
+        names = ", ".join(reading.name for reading in sensor.readout.readings)
+        hint = "Leave pixel.readout out, or give one of its readings as a pixel."
+        raise invalid("pixel.readout", f"the readings {names}", "one reading", hint)
     return _expose(mean_e, integration_s, sensor, rng)[0]
+
+
+def read_electrons(
+    mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator
+) -> Array:
+    """Return the merged photo-electrons of one frame of a sensor of several readings, (rows,
+    columns).
+    """
+    return _expose_readings(mean_e, integration_s, sensor, rng).estimate_e.astype(float)
 
 
 def _expose(
@@ -415,12 +497,6 @@ def _expose(
 
     _check_shape(mean_e, sensor)
     readout = sensor.readout
-    mean_dark_e = readout.dark_current_e_per_s * integration_s
-    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
-    row_sigma_e = constant_e(readout, is_temporal=True, along="row")
-    full_e = saturation_level_e(integration_s, readout)
-    top_dn = readout.adc.top_code_dn
-
     columns = sensor.shape[1]
     generated_e = np.empty(mean_e.shape)
     dn = np.empty(mean_e.shape, np.int32)
@@ -432,48 +508,197 @@ def _expose(
             slice(block.start + rows.start, block.start + rows.stop)
             for rows in strips(block.stop - block.start, columns)
         ]
-        largest = max(rows.stop - rows.start for rows in parts)
-        work = np.empty((largest, columns))
-        dark_work = np.empty((largest, columns))
+        work = np.empty((2, max(rows.stop - rows.start for rows in parts), columns))
 
         for rows in parts:
-            count = rows.stop - rows.start
-            charge_e = work[:count]
-            gain = 1.0 if sensor.gain is None else sensor.gain[rows]
-            np.multiply(mean_e[rows], gain, out=charge_e)
-            if mean_dark_e and sensor.dark_gain is not None:
-                charge_e += np.multiply(mean_dark_e, sensor.dark_gain[rows], out=dark_work[:count])
-            elif mean_dark_e:
-                charge_e += mean_dark_e
+            charge_e = _mean_charge_e(mean_e[rows], integration_s, readout, sensor, rows, work)
             generated_e[rows] = _shot_noise(charge_e, rng)
 
         for rows in parts:
             charge_e = generated_e[rows]
-            # Counted before readout: reset noise and negative offsets keep half of the full pixels
-            # off the top code.
-            is_saturating = charge_e >= full_e
             level = stored_signal_e(charge_e, integration_s, readout)
-            is_full = full_pixels(charge_e, level, readout)
-
-            if pixel_sigma_e:
-                noise = work[: rows.stop - rows.start]
-                _draw_gaussian(pixel_sigma_e, noise, rng)
-                level += noise
-            if row_sigma_e:
-                level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
-            for offset_e in _offset_maps_e(sensor, rows):
-                level += offset_e
-
-            level *= readout.dn_per_e
-            if readout.adc.black_level_dn:
-                level += readout.adc.black_level_dn
-            _quantise(level, readout.adc.bits, dn[rows])
-            at_top = dn[rows] >= top_dn
-            np.logical_or(is_full, at_top, out=saturated[rows])
-            saturated_counts.append(int(np.count_nonzero(is_saturating | at_top)))
+            is_full, count = _read_level(
+                charge_e, level, integration_s, readout, sensor, rows, rng, dn[rows], work[0]
+            )
+            saturated[rows] = is_full
+            saturated_counts.append(count)
 
     _by_block(expose, mean_e.shape, rng)
     return dn, saturated, sum(saturated_counts) / max(dn.size, 1)
+
+
+def _mean_charge_e(
+    mean_e: Array, integration_s: float, readout: Readout, sensor: Sensor, rows: slice, work: Array
+) -> Array:
+    """Return the mean charge of light and dark of some rows, with their fixed pattern.
+
+    mean_e : mean photo-electrons of these rows
+    sensor : that has the fixed pattern
+    work : two work arrays, of as many rows or more; the first holds the result
+    """
+    count = rows.stop - rows.start
+    mean_dark_e = readout.dark_current_e_per_s * integration_s
+    charge_e = work[0, :count]
+    gain = 1.0 if sensor.gain is None else sensor.gain[rows]
+    np.multiply(mean_e, gain, out=charge_e)
+    if mean_dark_e and sensor.dark_gain is not None:
+        charge_e += np.multiply(mean_dark_e, sensor.dark_gain[rows], out=work[1, :count])
+    elif mean_dark_e:
+        charge_e += mean_dark_e
+    return charge_e
+
+
+def _read_level(
+    charge_e: Array,
+    level: Array,
+    integration_s: float,
+    readout: Readout,
+    sensor: Sensor,
+    rows: slice,
+    rng: np.random.Generator,
+    dn: NDArray[np.int32],
+    work: Array,
+    *,
+    gain_error: float = 0.0,
+    black_error_dn: float = 0.0,
+) -> tuple[NDArray[np.bool_], int]:
+    """Write the codes of some rows to `dn`; return which pixels are full, and how many saturate.
+
+    charge_e : generated charge of these rows
+    level : its signal level, which is overwritten
+    sensor : that has the fixed pattern
+    work : a work array of as many rows or more
+    gain_error, black_error_dn : relative error of the gain, and error of the black level
+    """
+    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
+    row_sigma_e = constant_e(readout, is_temporal=True, along="row")
+    # Counted before readout: reset noise and negative offsets keep half of the full pixels off the
+    # top code.
+    is_saturating = charge_e >= saturation_level_e(integration_s, readout)
+    is_full = full_pixels(charge_e, level, readout)
+
+    if pixel_sigma_e:
+        noise = work[: len(level)]
+        _draw_gaussian(pixel_sigma_e, noise, rng)
+        level += noise
+    if row_sigma_e:
+        level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
+    for offset_e in _offset_maps_e(sensor, rows):
+        level += offset_e
+
+    level *= readout.dn_per_e * (1 + gain_error)
+    if readout.adc.black_level_dn or black_error_dn:
+        level += readout.adc.black_level_dn + black_error_dn
+    _quantise(level, readout.adc.bits, dn)
+    at_top = dn >= readout.adc.top_code_dn
+    return is_full | at_top, int(np.count_nonzero(is_saturating | at_top))
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The readings of a frame, (rows, columns) each: their codes, the merged photo-electrons, and
+    which pixels are full in the last one.
+    """
+
+    dn: list[NDArray[np.int32]]
+    estimate_e: NDArray[np.float32]
+    saturated: NDArray[np.bool_]
+
+
+def _expose_readings(
+    mean_e: Array,
+    integration_s: float,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    subexposures_e: Sequence[Array] = (),
+) -> Merged:
+    """Return the readings of all pixels, and their merge; of a burst, the sums over its
+    subexposures.
+
+    subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
+    """
+    _check_shape(mean_e, sensor)
+    readout = sensor.readout
+    count = readout.exposures
+    time_s = integration_s / count
+    columns = sensor.shape[1]
+    codes = [np.empty(mean_e.shape, np.int32) for _ in readout.readings]
+    total_dn = codes if count == 1 else [np.zeros_like(code) for code in codes]
+    estimate_e = np.zeros(mean_e.shape, np.float32)
+    saturated = np.zeros(mean_e.shape, bool)
+    # Neighbours of a row belong to the merge of maximum likelihood.
+    is_by_rows = readout.merge is None or readout.merge.merge != "max_likelihood"
+
+    def merge(rows: slice) -> None:
+        dn = [code[rows] for code in codes]
+        estimate_e[rows] += merged_e(readout, charges_of_codes_e(readout, dn), time_s)
+
+    def expose(block: slice, rng: np.random.Generator, photo_e: Array, scale: float) -> None:
+        for part in strips(block.stop - block.start, columns):
+            rows = slice(block.start + part.start, block.start + part.stop)
+            dn = [code[rows] for code in codes]
+            saturated[rows] |= _read_rows(scale * photo_e[rows], time_s, sensor, rows, rng, dn)
+            if is_by_rows:
+                merge(rows)
+
+    for number in range(count):
+        photo_e = subexposures_e[number] if subexposures_e else mean_e
+        scale = 1.0 if subexposures_e else 1 / count
+        _by_block(partial(expose, photo_e=photo_e, scale=scale), mean_e.shape, rng)
+        if not is_by_rows:
+            merge(slice(None))
+        if count > 1:
+            for total, code in zip(total_dn, codes, strict=True):
+                total += code
+    return Merged(total_dn, estimate_e, saturated)
+
+
+def _read_rows(
+    light_e: Array,
+    time_s: float,
+    sensor: Sensor,
+    rows: slice,
+    rng: np.random.Generator,
+    dn: Sequence[NDArray[np.int32]],
+) -> NDArray[np.bool_]:
+    """Write the codes of all readings of some rows in one exposure; return which pixels are full in
+    the last one. The charge of a collector is drawn once.
+
+    light_e : mean photo-electrons of the first collector, of these rows
+    dn : of each reading, these rows
+    """
+    work = np.empty((2, *light_e.shape))
+    charges_e: dict[int, NDArray[Any]] = {}
+    capacitors_e: dict[int, NDArray[Any]] = {}
+    is_full = np.zeros(light_e.shape, bool)
+    for reading, codes in zip(sensor.readout.readings, dn, strict=True):
+        diode = sensor if not reading.photodiode else sensor.further[reading.photodiode - 1]
+        readout = reading.readout
+        if reading.collector not in charges_e:
+            signal_e = reading.response * light_e
+            mean_charge_e = _mean_charge_e(signal_e, time_s, readout, diode, rows, work)
+            charges_e[reading.collector] = _shot_noise(mean_charge_e, rng)
+        charge_e = charges_e[reading.collector]
+        if reading.capacitor_dark_e_per_s:
+            if reading.collector not in capacitors_e:
+                dark_e = np.full(light_e.shape, reading.capacitor_e(time_s))
+                capacitors_e[reading.collector] = _shot_noise(dark_e, rng)
+            charge_e = charge_e + capacitors_e[reading.collector]
+
+        is_full, _ = _read_level(
+            charge_e,
+            stored_signal_e(charge_e, time_s, readout),
+            time_s,
+            readout,
+            diode,
+            rows,
+            rng,
+            codes,
+            work[0],
+            gain_error=reading.gain_error,
+            black_error_dn=reading.black_error_dn,
+        )
+    return is_full
 
 
 def _check_shape(mean_e: Array, sensor: Sensor) -> None:
@@ -708,9 +933,15 @@ def frame_variance_dn2(
     the shape (...) of `mean_e`.
 
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's
-    LSB²/12; valid where `frame_mean_dn` is.
+    LSB²/12; valid where `frame_mean_dn` is. Of several readings it is that of the merged electrons,
+    in codes of the most sensitive one.
     """
     signal_e = np.asarray(mean_e, float)
+    if readout.readings:
+        merged_e2 = merged_variance_e2(
+            readout, signal_e, integration_s, fixed_pattern=fixed_pattern
+        )
+        return np.asarray(merged_e2 * readout.dn_per_e**2)
     dark_e = readout.dark_current_e_per_s * integration_s
     temporal_e2 = variance_e2(readout, signal_e + dark_e, is_temporal=True)
     if not fixed_pattern:
@@ -765,6 +996,9 @@ def capture_from_rates(
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, readout)
     exposed = sensor if readout is sensor.readout else replace(sensor, readout=readout)
     subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
+    if readout.readings:
+        merged = _expose_readings(mean_e, time_s, exposed, rng, subexposures_e)
+        return merged_frame(merged, mean_e, time_s, readout, exposure)
     dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)
     return _frame(dn, fraction, mean_e, time_s, readout, exposure, saturated)
 
@@ -821,7 +1055,6 @@ def _frame(
     saturated: NDArray[np.bool_] | None,
 ) -> Frame:
     readout = readout.at(exposure)
-    physics = readout.physics
     dn_per_e = readout.dn_per_e
     if not dn_per_e < math.inf:
         raise invalid(
@@ -830,24 +1063,55 @@ def _frame(
             "a finite number",
             "Use a larger full well, or more electrons per DN.",
         )
-    return Frame(
-        dn=dn,
-        mean_e=mean_e,
-        integration_s=time_s,
-        dn_per_e=dn_per_e,
-        black_level_dn=readout.black_level_dn,
-        mean_dark_e=readout.dark_current_e_per_s * time_s,
-        pitch_um=physics.read_pitch_um,
-        bits=readout.code_bits,
-        saturated_fraction=saturated_fraction,
-        gain_db=readout.gain_db,
-        layout=physics.layout,
-        registration=physics.registration,
-        exposures=readout.exposures,
-        white_level_dn=None if readout.exposures == 1 else float(readout.top_code_dn),
-        saturated=saturated,
-        dark_noise_e=readout.noise_floor_e,
+    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, saturated_fraction, saturated))
+
+
+def merged_frame(
+    merged: Merged, mean_e: Array, time_s: float, readout: Readout, exposure: Exposure
+) -> MergedFrame:
+    """Return the frame of merged readings.
+
+    mean_e : mean photo-electrons of the first collector, (rows, columns)
+    """
+    readout = readout.at(exposure)
+    names = [reading.name for reading in readout.readings]
+    fields = _frame_fields(
+        mean_e, time_s, readout, float(merged.saturated.mean()), merged.saturated
     )
+    return MergedFrame(
+        **fields,
+        corrected_e=merged.estimate_e,
+        readings=dict(zip(names, merged.dn, strict=True)),
+        readout=readout,
+    )
+
+
+def _frame_fields(
+    mean_e: Array,
+    time_s: float,
+    readout: Readout,
+    saturated_fraction: float,
+    saturated: NDArray[np.bool_] | None,
+) -> dict[str, Any]:
+    """Return the fields of a frame beside its codes."""
+    physics = readout.physics
+    return {
+        "mean_e": mean_e,
+        "integration_s": time_s,
+        "dn_per_e": readout.dn_per_e,
+        "black_level_dn": readout.black_level_dn,
+        "mean_dark_e": readout.dark_current_e_per_s * time_s,
+        "pitch_um": physics.read_pitch_um,
+        "bits": readout.code_bits,
+        "saturated_fraction": saturated_fraction,
+        "gain_db": readout.gain_db,
+        "layout": physics.layout,
+        "registration": physics.registration,
+        "exposures": readout.exposures,
+        "white_level_dn": None if readout.exposures == 1 else float(readout.top_code_dn),
+        "saturated": saturated,
+        "dark_noise_e": readout.noise_floor_e,
+    }
 
 
 def capture(

@@ -29,7 +29,7 @@ from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, Sensor, make_frame, with_shared_time
+from pixsim.sensor.readout import Frame, MergedFrame, Sensor, make_frame, with_shared_time
 from pixsim.studies.design import (
     COMPUTED_BY,
     FRAME_SETTINGS,
@@ -533,10 +533,11 @@ def _cached_frame(
     """Return the cached arrays of a frame (rows, columns), by `_DN` and so on, or None if one is
     missing.
     """
-    pictures = [_DN]
-    if imaging.correction.is_on:
+    is_merged = imaging.pixel.is_read_several_times
+    pictures = [] if is_merged else [_DN]
+    if imaging.correction.is_on or is_merged:
         pictures.append(_CORRECTED)
-    if imaging.exposure.frames > 1:
+    if imaging.exposure.frames > 1 or is_merged:
         pictures.append(_SATURATED_PIXELS)
     parts = (*pictures, _SATURATED, *_LIGHT_STATISTICS, _TIME, _GAIN)
     arrays: cache.Arrays = {}
@@ -577,8 +578,11 @@ def _chain_of_cached_frame(
 
 def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
     """Return the frame of arrays of the cache, of `_cached_frame`."""
+    dn = cached.get(_DN)
+    if dn is None:  # of a merge, which the cache has as electrons
+        dn = np.zeros(cached[_CORRECTED].shape)
     frame = make_frame(
-        cached[_DN].astype(np.int32),
+        dn.astype(np.int32),
         float(cached[_SATURATED]),
         chain.signal_e_per_s,
         chain.readout,
@@ -591,8 +595,11 @@ def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
 def _arrays_for_cache(frame: Frame, readout: Readout) -> cache.Arrays:
     """Return the arrays of a frame for the cache, by `_DN` and so on."""
     statistics = frame_statistics(readout, frame)
-    arrays: cache.Arrays = {
-        _DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)),
+    is_merged = isinstance(frame, MergedFrame)
+    codes: cache.Arrays = {}
+    if not is_merged:
+        codes[_DN] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
+    arrays: cache.Arrays = codes | {
         _SATURATED: np.array(frame.saturated_fraction),
         _TIME: np.array(frame.integration_s),
         _GAIN: np.array(frame.gain_db),
@@ -600,7 +607,7 @@ def _arrays_for_cache(frame: Frame, readout: Readout) -> cache.Arrays:
     arrays |= {name: np.array(statistics[name]) for name in _LIGHT_STATISTICS}
     if frame.corrected_e is not None:
         arrays[_CORRECTED] = frame.corrected_e
-    if frame.exposures > 1 and frame.saturated is not None:
+    if (frame.exposures > 1 or is_merged) and frame.saturated is not None:
         arrays[_SATURATED_PIXELS] = frame.saturated
     return arrays
 

@@ -621,8 +621,9 @@ def developed_planes(raw: UndevelopedFrame) -> list[Array]:
         # Before noise reduction, which leaves less of a saturated pixel.
         limit_e = SATURATED * raw.readout.saturation_e - frame.mean_dark_e
         is_saturated = np.asarray(raw_e >= limit_e)
-        if frame.exposures > 1 and frame.saturated is not None:
-            # The sum of a burst hides that some of its exposures are full.
+        is_summed = frame.exposures > 1 or bool(raw.readout.readings)
+        if is_summed and frame.saturated is not None:
+            # The sum of a burst, or a merge, hides that some of its exposures are full.
             is_saturated |= frame.saturated
         raw = replace(raw, is_saturated=is_saturated)
     planes = cast("list[Array]", _through_steps(raw_e, raw, RAW))

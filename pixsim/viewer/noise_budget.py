@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -41,8 +42,9 @@ from pixsim.sensor.integration import (
     illumination_of,
     integrate_pixels,
 )
+from pixsim.sensor.merge import merged_variance_e2
 from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion
-from pixsim.sensor.noise import variances_e2, without_source
+from pixsim.sensor.noise import SOURCES, variances_e2, without_source
 from pixsim.sensor.quantities import MAX_CODE_BITS
 from pixsim.sensor.reading import Adc, Readout
 from pixsim.sensor.readout import Frame, make_frame, with_shared_time
@@ -142,8 +144,11 @@ def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -
     frame = chain.capture(*key)
     time_s = frame.integration_s
     variances_e2 = _variances_of(chain, time_s)
-    charge_e = (frame.dn - frame.black_level_dn) / frame.dn_per_e
-    noise_e = charge_e - frame.mean_dark_e - frame.mean_e
+    if chain.readout.readings:
+        noise_e = frame.estimate_e - frame.mean_e
+    else:
+        charge_e = (frame.dn - frame.black_level_dn) / frame.dn_per_e
+        noise_e = charge_e - frame.mean_dark_e - frame.mean_e
     noiseless = noiseless_frame(chain, time_s)
 
     # The reduction of ΔE by each cause, after the causes before it.
@@ -206,6 +211,8 @@ def _variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]
     readout = chain.readout
     light_e = chain.signal_e_per_s * integration_s
     dark_e = readout.dark_current_e_per_s * integration_s
+    if readout.readings:
+        return _merged_variances(readout, light_e, integration_s)
 
     # From the codes back to the light.
     variances = {ROUNDING: readout.rounding_variance_dn2 / readout.dn_per_e**2}
@@ -220,10 +227,43 @@ def _variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]
     return variances
 
 
+def _merged_variances(readout: Readout, light_e: Array, integration_s: float) -> dict[str, float]:
+    """Return the variance of merged readings by each cause of noise, as the causes are left out one
+    after the other.
+    """
+    names = [ROUNDING, *(source.name for source in reversed(SOURCES)), DARK]
+    merged = partial(
+        merged_variance_e2, signal_e=light_e, integration_s=integration_s, fixed_pattern=True
+    )
+    variances: dict[str, float] = {}
+    remaining_e2 = float(np.mean(merged(readout)))
+    for name in names:
+        readout = _without(readout, name)
+        without_e2 = float(np.mean(merged(readout)))
+        if remaining_e2 - without_e2 > 0:
+            variances[name] = remaining_e2 - without_e2
+        remaining_e2 = without_e2
+    variances[SHOT] = remaining_e2
+    return variances
+
+
+def _without(readout: Readout, cause: str) -> Readout:
+    """Return a readout without a cause of noise, which is not shot noise."""
+    if cause == ROUNDING:
+        return finer_adc(readout)
+    if cause == DARK:
+        return readout.with_physics(dark_current_e_per_s=0.0)
+    return without_source(readout, cause)
+
+
 def finer_adc(readout: Readout) -> Readout:
     """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes
     have the bits.
     """
+    return readout.with_all(_finer_adc)
+
+
+def _finer_adc(readout: Readout) -> Readout:
     adc = readout.adc
     more_bits = min(_MORE_BITS, MAX_CODE_BITS - readout.code_bits)
     finer = Adc(
@@ -246,12 +286,7 @@ def _noise_steps(
         if cause == SHOT:
             yield cause, chain.development.score(noiseless).mean_delta_e
             continue
-        if cause == ROUNDING:
-            readout = finer_adc(readout)
-        elif cause == DARK:
-            readout = readout.with_physics(dark_current_e_per_s=0.0)
-        else:
-            readout = without_source(readout, cause)
+        readout = _without(readout, cause)
         quieter = replace(chain, readout=readout, exposure=exposure)
         yield cause, quieter.simulate(*key).mean_delta_e
     if chain.imaging.develop.denoises:

@@ -18,6 +18,7 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.code_moments import COARSE_DN, FARTHEST_SIGMAS, moments_of_codes
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
+from pixsim.sensor.merge import merged_variance_e2
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.sensor.reading import Readout
@@ -69,6 +70,9 @@ def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: flo
     """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in
     the shape of the signal.
     """
+    if readout.readings:
+        merged_e2 = merged_variance_e2(readout, signal_e, time_s, fixed_pattern=True)
+        return np.maximum(merged_e2 - _line_variance_e2(readout), 0.0)
     dark_e = readout.dark_current_e_per_s * time_s
     alone_e2 = variance_e2(
         readout, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel"
@@ -81,6 +85,8 @@ def full_e(readout: Readout, time_s: float) -> float:
     charge alone does it.
     """
     dark_e = readout.dark_current_e_per_s * time_s
+    if readout.readings:
+        return max(readout.saturation_e - dark_e, 0.0)
     # Up to the top code `frame_mean_dn` is linear.
     top_e = (readout.top_code_dn - readout.black_level_dn) / readout.dn_per_e - dark_e
     well_e = saturation_level_e(time_s, readout) - dark_e
@@ -113,6 +119,16 @@ class _CodeTable(NamedTuple):
     offset_slope: Array
     low_e: float
     high_e: float
+
+    def scaled_by_response(self, response: float) -> _CodeTable:
+        """Return the table in electrons of light of which this one has a share."""
+        return self._replace(
+            signal_e=self.signal_e / response,
+            mean_e=self.mean_e / response,
+            variance_e2=self.variance_e2 / response**2,
+            low_e=self.low_e / response,
+            high_e=self.high_e / response,
+        )
 
 
 class _CodeMoments(NamedTuple):
@@ -353,8 +369,13 @@ def top_table(frame: ExpectedFrame, brightest_e: float) -> _CodeTable | None:
     """Return the table of signals near the full well or the top code, or None if the noise of the
     brightest does not reach either.
     """
-    exposure = _ClippedExposure(frame.readout, frame.integration_s)
-    if not exposure.reaches_top(brightest_e / exposure.count):
+    readout = frame.readout
+    response = 1.0
+    if readout.readings:  # the last one decides on what is lost
+        response = readout.readings[-1].response
+        readout = readout.readings[-1].readout.burst(readout.exposures)
+    exposure = _ClippedExposure(readout, frame.integration_s)
+    if not exposure.reaches_top(response * brightest_e / exposure.count):
         return None
 
     def compute() -> _CodeTable:
@@ -377,7 +398,7 @@ def top_table(frame: ExpectedFrame, brightest_e: float) -> _CodeTable | None:
         table = exposure.table(signal_e, start_e, math.inf)
         if exposure.is_certain(full_e + width_e):
             table.signal_slope[-1] = 0.0
-        return table
+        return table if response == 1 else table.scaled_by_response(response)
 
     return _cached_codes(frame, "top codes", compute)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,13 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.digits import percent
 from pixsim.base.errors import invalid
 from pixsim.sensor.correction import correct
-from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor, with_shared_time
+from pixsim.sensor.readout import (
+    Frame,
+    MergedFrame,
+    capture_from_rates,
+    sample_sensor,
+    with_shared_time,
+)
 from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.develop_steps import noise_of_expected_e2
 from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
@@ -103,7 +110,7 @@ def _visual_noise(under_test: FrameUnderTest) -> tuple[float]:
         allowed = "noise reduction that does not know the picture"
         hint = "Use 'nlm' or 'wavelet'."
         raise NoNumberError(str(invalid("the metric visual_noise", got, allowed, hint)))
-    uniform: Array = np.full(under_test.frame.dn.shape, GREY * development.white_e_per_s)
+    uniform: Array = np.full(under_test.frame.shape, GREY * development.white_e_per_s)
     flat_field = development.flat_field
     if flat_field is not None and (development.shading is not None or correction.flat_frames):
         uniform *= flat_field  # by which the picture is divided
@@ -242,9 +249,12 @@ def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
     corrected = electrons
     if flat_field is not None and frame.imaging.correction.flat_frames:
         corrected = electrons / flat_field
+    codes: dict[str, Any] = {}
+    if not isinstance(drawn, MergedFrame):
+        codes["dn"] = np.zeros(electrons.shape, np.int32)
     return replace(
         drawn,
-        dn=np.zeros(electrons.shape, np.int32),
+        **codes,
         mean_e=electrons,
         corrected_e=corrected.astype(np.float32),
         integration_s=frame.integration_s,

@@ -400,6 +400,8 @@ class _Trial:
             frame = make_chain(self.imaging, prepared, room_is_checked=True).capture(*STREAM)
         count = frame.exposures
         charge_e = (frame.mean_e + frame.mean_dark_e) / count
+        if self.readout.readings:
+            return np.minimum(count * charge_e, self.readout.saturation_e)
         return count * stored_signal_e(charge_e, frame.integration_s / count, self.readout)
 
     @cached_property

@@ -160,7 +160,7 @@ MOVES: dict[str, Any] = {
     "pixel.prnu_um": 0.1, "pixel.dsnu": 1.0, "pixel.hot_pixel_fraction": 0.05, "pixel.hot_pixel_median": 900.0,
     "pixel.hot_pixel_spread": 1.5, "pixel.dsnu_e": 50.0, "pixel.offset_fpn": 0.01, "pixel.a_vt_mv_um": 5.0,
     "pixel.follower_area_um2": 1.0, "pixel.column_fpn": 0.01, "pixel.bits": 8, "pixel.black_level_dn": 20.0,
-    "pixel.temperature_k": 340.0,
+    "pixel.temperature_k": 340.0, "pixel.readout": {"kind": "staggered", "ratio": 16.0},
     "pixel.technology": ("0.18um", "4t-fsi", "4t-bsi"), "pixel.pitch_um": 5.8,
     "pixel.registration": [0.25, 0.75], "pixel.stack": {"height_um": 6.5, "index": 1.5},
     "pixel.stack.enabled": (False, True), "pixel.stack.height_um": 7.0, "pixel.stack.index": 1.9,
@@ -310,7 +310,7 @@ def acts(reference: dict[str, Any], name: str, value: Any) -> bool:
         base is None
         or score.frame.integration_s != base.frame.integration_s
         or not np.array_equal(score.delta_e, base.delta_e)
-        or not np.array_equal(score.frame.dn, base.frame.dn)
+        or not np.array_equal(score.frame.estimate_e, base.frame.estimate_e)
     )
 
 

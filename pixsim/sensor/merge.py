@@ -1,0 +1,570 @@
+"""Several readings of a pixel as one estimate of its electrons: weights, variance, bias.
+
+With Q_j the charge of collector j, of response r_j and dark charge D_j, and σ_k the noise of
+reading k behind its limit, readings are x_k = Q_j + N(0, σ_k), and estimate the electrons of the
+first collector by (x_k - D_j)/r_j. Their covariance is
+
+    C_kl = [same collector] (r μ + D)/r² + [both read the capacitor] D_cap/r² + [k = l] σ_k²/r_k².
+
+Readings of one collector share its electrons: no weights lower their shot noise. A merge chooses
+weights by what is valid: x_k below its limit by some σ_k.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy  # whose parts are imported when they are used
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.sensor.colour import Layout
+from pixsim.sensor.reading import Reading, Readout
+from pixsim.sensor.readout_options import ReadoutOptions
+
+_REACH = 6.0  # deviations of a normal law that integrals take in
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(24)
+_MIN_PASSING = 1e-12  # of full readings
+_MAX_LEVELS = 512  # more of them are interpolated in a table
+_TABLE_LEVELS = 257
+_NEIGHBOURS = 3  # pixels along a side of the neighbourhood, of one channel
+
+
+def _valid_below_e(readout: Readout) -> list[float]:
+    """Return the charges below which readings are valid; the last one always is."""
+    assert readout.merge is not None
+    sigmas = readout.merge.validity_sigmas
+    below_e = [reading.valid_below_e(sigmas) for reading in readout.readings[:-1]]
+    return [*below_e, math.inf]
+
+
+def _share_of_reading(
+    charge_e: Array, reading: Reading, below_e: float, merge: ReadoutOptions
+) -> NDArray[Any]:
+    """Return the share, 0 to 1, that a reading has of what less sensitive ones would have, where
+    all more sensitive ones are not valid.
+    """
+    is_valid = charge_e < below_e
+    if merge.merge != "blend" or math.isinf(below_e):
+        return np.asarray(is_valid)
+
+    from_e, to_e = (
+        share * reading.limit_e for share in (merge.blend_from_share, merge.blend_to_share)
+    )
+    return np.asarray(np.clip((to_e - charge_e) / (to_e - from_e), 0.0, 1.0) * is_valid)
+
+
+def _shares(readout: Readout, charges_e: Sequence[Array]) -> list[NDArray[Any]]:
+    """Return `_share_of_reading` of all readings, (...) each; that of the last one is 1.
+
+    charges_e : of each reading with its dark charge, (...)
+    """
+    assert readout.merge is not None
+    return [
+        _share_of_reading(charge_e, reading, below_e, readout.merge)
+        for charge_e, reading, below_e in zip(
+            charges_e, readout.readings, _valid_below_e(readout), strict=True
+        )
+    ]
+
+
+def merge_weights(
+    readout: Readout, charges_e: Sequence[Array], integration_s: float, pilot_e: Array | None
+) -> list[Array]:
+    """Return the weights of the readings, (...) each, whose sum is 1.
+
+    charges_e : of each reading with its dark charge, (...)
+    integration_s : of one exposure
+    pilot_e : electrons of the first collector, for 'max_likelihood'; else None
+    """
+    shares = _shares(readout, charges_e)
+    if pilot_e is not None:
+        return _likelihood_weights(readout, shares, pilot_e, integration_s)
+
+    weights = []
+    left: Array | float = 1.0
+    for share in shares:
+        weights.append(left * share)
+        left = left * (1.0 - share)
+    return weights
+
+
+def _likelihood_weights(
+    readout: Readout, valid: Sequence[Array], level_e: Array, integration_s: float
+) -> list[Array]:
+    """Return C⁻¹1/(1ᵀC⁻¹1) of the valid readings, (...) each.
+
+    C is a tree: the noise of readings, the dark charge that readings of one capacitor share, the
+    electrons that readings of one collector share. So each branch is weighted with its precision,
+    the inverse of its variance.
+
+    valid : 1 or 0 for each reading, (...)
+    level_e : electrons of the first collector, (...)
+    """
+    readings = readout.readings
+    relative: list[Array] = []
+    for reading, is_valid in zip(readings, valid, strict=True):
+        relative.append(is_valid / (reading.noise_e**2 + reading.rounding_e2))
+
+    # Of readings of the photodiode alone, or with the capacitor.
+    branches = {
+        (reading.collector, reading.overflow): reading.capacitor_e(integration_s)
+        for reading in readings
+    }
+    shrink: dict[tuple[int, bool], Array] = {}
+    precisions: dict[int, Array] = {}
+    for branch, capacitor_e in branches.items():
+        precision = sum(
+            (
+                value
+                for value, reading in zip(relative, readings, strict=True)
+                if (reading.collector, reading.overflow) == branch
+            ),
+            start=np.zeros(level_e.shape),
+        )
+        shrink[branch] = 1 / (1 + precision * capacitor_e)
+        total = precisions.get(branch[0], np.zeros(level_e.shape))
+        precisions[branch[0]] = total + precision * shrink[branch]
+
+    factors: dict[int, Array] = {}
+    for reading in readings:
+        if reading.collector not in factors:
+            shared_e2 = np.maximum(reading.response * level_e, 0.0) + (
+                reading.dark_e(integration_s) - reading.capacitor_e(integration_s)
+            )
+            precision = precisions[reading.collector]
+            factors[reading.collector] = reading.response**2 / (1 + precision * shared_e2)
+    total = sum(
+        (factor * precisions[collector] for collector, factor in factors.items()),
+        start=np.zeros(level_e.shape),
+    )
+    return [
+        value * shrink[reading.collector, reading.overflow] * (factors[reading.collector] / total)
+        for value, reading in zip(relative, readings, strict=True)
+    ]
+
+
+def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> list[Array]:
+    """Return the charges of the codes of readings, with dark charge, (...) each."""
+    return [
+        (code - reading.readout.adc.black_level_dn) / reading.readout.dn_per_e
+        for code, reading in zip(codes, readout.readings, strict=True)
+    ]
+
+
+def merged_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> Array:
+    """Return the estimate of the electrons of the first collector, (rows, columns).
+
+    charges_e : of each reading with its dark charge, (rows, columns)
+    integration_s : of one exposure
+    """
+    assert readout.merge is not None
+    estimates_e = [
+        (charge_e - reading.dark_e(integration_s)) / reading.response
+        for charge_e, reading in zip(charges_e, readout.readings, strict=True)
+    ]
+    if readout.merge.merge == "max_likelihood":
+        weights = frame_weights(readout, charges_e, integration_s)
+        return np.asarray(
+            sum(weight * part_e for weight, part_e in zip(weights, estimates_e, strict=True))
+        )
+    return _nested(_shares(readout, charges_e), estimates_e)
+
+
+def _nested(shares: Sequence[NDArray[Any]], estimates_e: Sequence[Array]) -> Array:
+    """Return estimates with the share of each in what the later ones make, (...)."""
+    estimate_e = estimates_e[-1]
+    for share, part_e in zip(shares[-2::-1], estimates_e[-2::-1], strict=True):
+        if share.dtype == bool:
+            estimate_e = np.where(share, part_e, estimate_e)
+        else:
+            estimate_e = estimate_e + share * (part_e - estimate_e)
+    return estimate_e
+
+
+def frame_weights(
+    readout: Readout, charges_e: Sequence[Array], integration_s: float
+) -> list[Array]:
+    """Return the weights of readings in a frame, (rows, columns) each, as `merged_e` has them.
+
+    The pilot of 'max_likelihood' is the mean over neighbours of the most sensitive valid readings.
+    """
+    assert readout.merge is not None
+    pilot_e = None
+    if readout.merge.merge == "max_likelihood":
+        estimates_e = [
+            (charge_e - reading.dark_e(integration_s)) / reading.response
+            for charge_e, reading in zip(charges_e, readout.readings, strict=True)
+        ]
+        selected_e = _nested(_shares(readout, charges_e), estimates_e)
+        pilot_e = _neighbourhood_means(selected_e, readout.physics.layout)
+    return merge_weights(readout, charges_e, integration_s, pilot_e)
+
+
+def _neighbourhood_means(picture: Array, layout: Layout | None) -> Array:
+    """Return the means over neighbours of the same channel, (rows, columns)."""
+    steps = (1, 1)
+    planes = 1
+    if layout is not None:
+        planes = layout.planes
+        steps = layout.period
+    means = np.empty(picture.shape)
+    for plane, mean in zip(
+        np.array_split(picture, planes), np.array_split(means, planes), strict=True
+    ):
+        for row in range(steps[0]):
+            for column in range(steps[1]):
+                part = slice(row, None, steps[0]), slice(column, None, steps[1])
+                mean[part] = scipy.ndimage.uniform_filter(plane[part], _NEIGHBOURS, mode="nearest")
+    return means
+
+
+# --- closed forms
+
+
+def covariances_e2(
+    readout: Readout, level_e: Array, integration_s: float, rounding: bool = True
+) -> Array:
+    """Return the covariance C of the estimates of all readings, (K, K, n), at levels (n,).
+
+    level_e : mean electrons of light of the first collector in an exposure
+    integration_s : of one exposure
+    """
+    readings = readout.readings
+    covariance = np.zeros((len(readings), len(readings), level_e.size))
+    for row, first in enumerate(readings):
+        for column, second in enumerate(readings):
+            if first.collector != second.collector:
+                continue
+            capacitor_e = first.capacitor_e(integration_s)
+            shared_e2 = first.response * level_e + first.dark_e(integration_s) - capacitor_e
+            if first.overflow and second.overflow:
+                shared_e2 = shared_e2 + capacitor_e
+            if row == column:
+                shared_e2 = shared_e2 + first.noise_e**2 + (first.rounding_e2 if rounding else 0.0)
+            covariance[row, column] = shared_e2 / (first.response * second.response)
+    return covariance
+
+
+@dataclass(frozen=True)
+class MergedLevel:
+    """A uniform level as its merge estimates it, over frames of pixels that are alike, (n,) each.
+
+    bias_e : mean of the estimate, less the level
+    variance_e2 : of the estimate
+    weights : of each reading, (K, n), in the mean
+    """
+
+    bias_e: Array = field(repr=False)
+    variance_e2: Array = field(repr=False)
+    weights: Array = field(repr=False)
+
+
+def mean_weights(readout: Readout, level_e: Array, integration_s: float, first: int = 0) -> Array:
+    """Return the weights, (K, n), that a merge of the readings from `first` on has where each has
+    its mean charge; one reading alone for a merge of one.
+    """
+    charges_e = [
+        reading.response * level_e + reading.dark_e(integration_s) for reading in readout.readings
+    ]
+    for number in range(first):
+        charges_e[number] = np.full(level_e.shape, math.inf)
+    assert readout.merge is not None
+    pilot_e = level_e if readout.merge.merge == "max_likelihood" else None
+    return np.stack(merge_weights(readout, charges_e, integration_s, pilot_e))
+
+
+def switch_levels_e(readout: Readout, integration_s: float) -> list[float]:
+    """Return the levels at which the merge of the mean charges changes its readings, rising.
+
+    integration_s : of one exposure
+    """
+    assert readout.merge is not None
+    merge = readout.merge
+    levels: list[float] = []
+    for reading, below_e in zip(readout.readings[:-1], _valid_below_e(readout), strict=False):
+        charges_e = [below_e]
+        if merge.merge == "blend":
+            charges_e += [merge.blend_from_share * reading.limit_e]
+            charges_e += [merge.blend_to_share * reading.limit_e]
+        dark_e = reading.dark_e(integration_s)
+        levels += [(charge_e - dark_e) / reading.response for charge_e in charges_e]
+    return sorted(levels)
+
+
+def _sum_e2(weights: Array, covariance: Array) -> Array:
+    return np.asarray(np.einsum("kn,kln,ln->n", weights, covariance, weights))
+
+
+def level_variance_e2(
+    readout: Readout, level_e: Array, integration_s: float, *, rounding: bool = True
+) -> Array:
+    """Return the temporal variance of the estimate of levels (n,), with the weights of the mean;
+    NaN beyond the limit of the last reading.
+
+    level_e : mean electrons of light of the first collector in an exposure
+    """
+    weights = mean_weights(readout, level_e, integration_s)
+    covariance = covariances_e2(readout, level_e, integration_s, rounding)
+    last = readout.readings[-1]
+    is_full = last.response * level_e + last.dark_e(integration_s) > last.limit_e
+    return np.where(is_full, np.nan, _sum_e2(weights, covariance))
+
+
+def merged_level(readout: Readout, level_e: Array, integration_s: float) -> MergedLevel:
+    """Return mean and variance of the estimate of levels (n,), with the choice of readings by their
+    noisy charges.
+
+    At a switch the estimate is B + a(x)(A - B): x the charge that decides, a its share, A and B
+    sums of readings with it and without it. All are normal, so that one integral over x has mean
+    and variance; the bias is E[a′] cov(x, A - B) (Stein, Ann. Stat. 9 (1981) 1135). Few full
+    readings pass as valid, Φ(-validity_sigmas) of them, but err by all that the limit cuts off.
+    """
+    assert readout.merge is not None
+    merge = readout.merge
+    readings = readout.readings
+    below_e = _valid_below_e(readout)
+    covariance = covariances_e2(readout, level_e, integration_s)
+
+    count, size = len(readings), level_e.size
+    bias_e = np.zeros(size)
+    variance_e2 = np.zeros(size)
+    weights = np.zeros((count, size))
+    is_open = np.ones(size, bool)
+    for number, reading in enumerate(readings):
+        sigma_e = reading.response * np.sqrt(covariance[number, number])
+        charge_e = reading.response * level_e + reading.dark_e(integration_s)
+        lowest_e = charge_e - _REACH * sigma_e
+        ends_e = [below_e[number]]
+        if merge.merge == "blend" and math.isfinite(below_e[number]):
+            ends_e += [merge.blend_from_share * reading.limit_e]
+            ends_e += [merge.blend_to_share * reading.limit_e]
+        decides = is_open & (lowest_e < (max(ends_e) if len(ends_e) < 3 else ends_e[2]))
+        is_open = is_open & ~decides
+        if not decides.any():
+            continue
+
+        part = np.flatnonzero(decides)
+        level = level_e[part]
+        part_covariance = covariance[:, :, part]
+        if number == count - 1:
+            with_e = without_e = mean_weights(readout, level, integration_s, number)
+        else:
+            without_e = mean_weights(readout, level, integration_s, number + 1)
+            with_e = _weights_with(readout, level, integration_s, number, without_e)
+
+        share = partial(_share_of_reading, reading=reading, below_e=below_e[number], merge=merge)
+        moments = _share_moments(share, charge_e[part], sigma_e[part], ends_e)
+        difference = with_e - without_e
+        x_row = part_covariance[number] / np.sqrt(part_covariance[number, number])
+        slope_d = (difference * x_row).sum(axis=0)
+        slope_b = (without_e * x_row).sum(axis=0)
+        rest_d = _sum_e2(difference, part_covariance) - slope_d**2
+        rest_b = _sum_e2(without_e, part_covariance) - slope_b**2
+        cross = np.einsum("kn,kln,ln->n", difference, part_covariance, without_e)
+        rest_bd = cross - slope_d * slope_b
+
+        a, a2, a_z, a_z2, a2_z2 = moments
+        bias = slope_d * a_z
+        mean_square = (
+            slope_b**2
+            + 2 * slope_b * slope_d * a_z2
+            + slope_d**2 * a2_z2
+            + rest_b
+            + 2 * a * rest_bd
+            + a2 * rest_d
+        )
+        bias_e[part] += bias
+        variance_e2[part] += mean_square - bias**2
+        weights[:, part] = without_e + a * difference
+
+    for number in range(count - 1):
+        passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
+        bias_e += passing * error_e
+        variance_e2 += passing * error_e**2
+    return MergedLevel(bias_e, variance_e2, weights)
+
+
+def _passing(
+    readout: Readout, level_e: Array, integration_s: float, number: int, below_e: float
+) -> tuple[Array, Array]:
+    """Return the share of pixels, (n,), in which a full reading passes as valid by noise behind
+    its limit, and the error of the estimate there.
+
+    number : of the reading
+    below_e : charge of its codes below which it is valid
+    """
+    assert readout.merge is not None
+    reading = readout.readings[number]
+    charge_e = reading.response * level_e + reading.dark_e(integration_s)
+    is_full = scipy.special.ndtr((charge_e - reading.limit_e) / np.sqrt(np.maximum(charge_e, 1.0)))
+
+    # The last code that is valid holds charges up to half a code above it.
+    black_dn = reading.readout.adc.black_level_dn
+    dn_per_e = reading.readout.dn_per_e
+    first_invalid_dn = math.ceil(below_e * dn_per_e + black_dn)
+    end_e = (first_invalid_dn - 0.5 - black_dn) / dn_per_e
+    z = (end_e - reading.limit_e) / max(reading.noise_e, 1e-9)
+    passing = float(scipy.special.ndtr(z))
+    if passing < _MIN_PASSING:
+        return np.zeros(level_e.shape), np.zeros(level_e.shape)
+
+    density = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+    read_e = np.array([reading.limit_e - reading.noise_e * density / passing])
+    read_e = np.minimum(read_e, np.nextafter(below_e, 0.0))  # before it was rounded
+    share = float(_share_of_reading(read_e, reading, below_e, readout.merge)[0])
+    without_e = mean_weights(readout, level_e, integration_s, number + 1)
+    with_e = _weights_with(readout, level_e, integration_s, number, without_e)
+    estimate_e = (read_e - reading.dark_e(integration_s)) / reading.response
+    return passing * is_full, share * with_e[number] * np.minimum(estimate_e - level_e, 0.0)
+
+
+def _weights_with(
+    readout: Readout, level_e: Array, integration_s: float, number: int, others: Array
+) -> Array:
+    """Return the weights of the readings from `number` on, where that one is valid, (K, n).
+
+    others : the weights where it is not
+    """
+    assert readout.merge is not None
+    alone = np.zeros(others.shape)
+    alone[number] = 1.0
+    if readout.merge.merge != "max_likelihood":
+        return alone
+    valid = [
+        np.full(level_e.shape, float(index == number)) + (others[index] > 0)
+        for index in range(len(readout.readings))
+    ]
+    return np.stack(_likelihood_weights(readout, valid, level_e, integration_s))
+
+
+def _share_moments(
+    share: Callable[[Array], NDArray[Any]], charge_e: Array, sigma_e: Array, ends_e: Sequence[float]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return E[a], E[a²], E[a z], E[a z²] and E[a² z²] of a share a(x) of a normal charge x, (n,)
+    each, with z = (x - mean)/σ.
+
+    charge_e, sigma_e : mean and deviation of the charge, (n,)
+    ends_e : charges at which the share has a kink or a step
+    """
+    inner = [np.clip((end_e - charge_e) / sigma_e, -_REACH, _REACH) for end_e in sorted(ends_e)]
+    edges = np.stack([np.full(charge_e.shape, -_REACH), *inner, np.full(charge_e.shape, _REACH)])
+    half = np.diff(edges, axis=0)[..., None] / 2
+    z = edges[:-1, :, None] + half * (1 + _NODES)
+    density = half * _NODE_WEIGHTS * np.exp(-(z**2) / 2)
+    density /= density.sum(axis=(0, 2), keepdims=True)
+    a = share(charge_e[:, None] + sigma_e[:, None] * z).astype(float)
+
+    def mean(values: Array) -> Array:
+        return np.asarray((density * values).sum(axis=(0, 2)))
+
+    return mean(a), mean(a**2), mean(a * z), mean(a * z**2), mean(a**2 * z**2)
+
+
+def fixed_pattern_e2(
+    readout: Readout, level_e: Array, integration_s: float, weights: Array
+) -> Array:
+    """Return the variance of the estimate over pixels by PRNU, DSNU and offsets, (n,).
+
+    level_e : mean electrons of light of the first collector in a frame
+    integration_s : of a frame
+    weights : of the readings, (K, n)
+    """
+    total_e2 = np.zeros(level_e.shape)
+    for number in sorted({reading.photodiode for reading in readout.readings}):
+        gain_weight = np.zeros(level_e.shape)
+        dark_e = np.zeros(level_e.shape)
+        offset = np.zeros(level_e.shape)
+        photodiode = readout.readings[0].readout
+        for reading, weight in zip(readout.readings, weights, strict=True):
+            if reading.photodiode == number:
+                photodiode = reading.readout
+                gain_weight += weight
+                dark_e += (
+                    weight * photodiode.dark_current_e_per_s * integration_s / reading.response
+                )
+                offset += weight / reading.response
+        frame = photodiode.burst(readout.exposures)
+        total_e2 += (frame.prnu * gain_weight * level_e) ** 2
+        total_e2 += (frame.dark_spread.deviation * dark_e * integration_s) ** 2
+        total_e2 += (frame.offset_e * offset) ** 2
+    return total_e2
+
+
+def merged_variance_e2(
+    readout: Readout, signal_e: Array | float, integration_s: float, *, fixed_pattern: bool
+) -> Array:
+    """Return the variance of the estimate of mean electrons of light (...) over frames and, with
+    `fixed_pattern`, over sensors.
+
+    Near a switch with the choice by noisy charges, as `merged_level`; beyond the last limit as if
+    nothing clipped.
+    """
+    signal = np.maximum(np.asarray(signal_e, float), 0.0)
+    count = readout.exposures
+    level_e = signal.ravel()
+    if level_e.size > _MAX_LEVELS:
+        level_e = _table_levels_e(readout, float(level_e.max()), integration_s)
+    moments = merged_level(readout, level_e / count, integration_s / count)
+    variance_e2 = count * moments.variance_e2
+    if fixed_pattern:
+        variance_e2 = variance_e2 + fixed_pattern_e2(
+            readout, level_e, integration_s, moments.weights
+        )
+    if level_e.size != signal.size:
+        return np.interp(signal, level_e, variance_e2)
+    return np.asarray(variance_e2.reshape(signal.shape))
+
+
+def _table_levels_e(readout: Readout, brightest_e: float, integration_s: float) -> Array:
+    """Return rising levels of a frame up to the brightest one, dense where readings switch.
+
+    Between switches the variance is linear in the level, but for the squares of fixed pattern.
+    """
+    count = readout.exposures
+    levels = [np.linspace(0.0, brightest_e, _TABLE_LEVELS)]
+    for switch_e in switch_levels_e(readout, integration_s / count):
+        at_switch = np.array([max(switch_e, 0.0)])
+        alpart_e2 = np.diagonal(covariances_e2(readout, at_switch, integration_s / count))
+        spread_e = _REACH * math.sqrt(float(alpart_e2.min()))
+        near_e = np.linspace(switch_e - spread_e, switch_e + spread_e, _TABLE_LEVELS)
+        levels += [
+            count * near_e,
+            np.geomspace(1e-3 * max(switch_e, 1.0), 2 * max(switch_e, 1.0), _TABLE_LEVELS),
+        ]
+    return np.unique(np.clip(np.concatenate(levels), 0.0, brightest_e))
+
+
+def estimated_variance_e2(
+    readout: Readout, estimate_e: Array, integration_s: float, weights: Sequence[Array]
+) -> Array:
+    """Return the variance of an estimate (rows, columns) by the estimate itself, as if the weights
+    were not chosen by it.
+
+    weights : of each reading, (rows, columns)
+    """
+    count = readout.exposures
+    total_e2 = np.zeros(estimate_e.shape)
+    shared: dict[tuple[int, bool], tuple[Reading, Array]] = {}
+    for reading, weight in zip(readout.readings, weights, strict=True):
+        noise_e2 = count * (reading.noise_e**2 + reading.rounding_e2)
+        total_e2 += (weight / reading.response) ** 2 * noise_e2
+        branches = [(reading.collector, False)]
+        if reading.overflow and reading.capacitor_dark_e_per_s:
+            branches.append((reading.collector, True))
+        for branch in branches:
+            before = shared[branch][1] if branch in shared else np.zeros(estimate_e.shape)
+            shared[branch] = reading, before + weight
+    for (_, is_capacitor), (reading, weight) in shared.items():
+        charge_e2: Array | float = reading.capacitor_e(integration_s)
+        if not is_capacitor:
+            charge_e2 = reading.response * np.maximum(estimate_e, 0.0) + (
+                reading.dark_e(integration_s) - reading.capacitor_e(integration_s)
+            )
+        total_e2 += (weight / reading.response) ** 2 * charge_e2
+    return total_e2

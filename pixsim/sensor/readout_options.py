@@ -1,0 +1,412 @@
+"""Pixels that are read several times: what collects their charge, and how it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from pixsim.base.records import Record, UnitInterval, as_list
+from pixsim.light.quantities import Fraction
+from pixsim.sensor.quantities import (
+    Current,
+    DarkSpread,
+    GainSpread,
+    NoiseElectrons,
+    ResetFactor,
+    Well,
+)
+
+MAX_READINGS = 8
+_ConversionGain = Annotated[float, Field(ge=1e-3, le=1e6)]  # µV/e⁻
+_Response = Annotated[float, Field(ge=1e-6, le=1e6)]
+_Share = Annotated[float, Field(ge=1e-6, le=1)]
+_Time = Annotated[float, Field(ge=0, le=1e9)]
+
+
+def _as_values(value: object) -> object:
+    """A single number as a list of one."""
+    return [value] if isinstance(value, int | float) else as_list(value)
+
+
+_Gains = Annotated[tuple[_ConversionGain, ...], BeforeValidator(_as_values)]
+_Wells = Annotated[tuple[Well, ...], BeforeValidator(_as_values)]
+_Noises = Annotated[tuple[NoiseElectrons, ...], BeforeValidator(_as_values)]
+_Currents = Annotated[tuple[Current, ...], BeforeValidator(_as_values)]
+_Responses = Annotated[tuple[_Response, ...], BeforeValidator(_as_values)]
+
+
+class CollectorOptions(Record):
+    """A photodiode during one exposure. Values of None are those of the pixel.
+
+    Collectors that differ in start and length alone are exposures of one photodiode, and share its
+    fixed pattern.
+    """
+
+    name: str = Field(description="name, to which readings refer")
+    response: _Response = Field(
+        1.0, description="light that it collects in equal times, over that of the first collector"
+    )
+    full_well_e: Well | None = Field(None, description="full well of the photodiode")
+    capacity_e: Annotated[float, Field(ge=0, le=1e18)] = Field(
+        0.0, description="charge beyond the full well that an overflow capacitor holds"
+    )
+    dark_current_e_per_s: Current | None = Field(None, description="dark current")
+    capacitor_dark_e_per_s: Current = Field(0.0, description="dark current of the capacitor")
+    prnu: GainSpread | None = Field(
+        None, description="standard deviation of the gain over its mean"
+    )
+    dsnu: DarkSpread | None = Field(
+        None, description="standard deviation of the dark current over its mean"
+    )
+    start_s: _Time = Field(0.0, description="start of its exposure, after start_share")
+    start_share: _Time = Field(
+        0.0, description="share of the integration time after which start_s counts"
+    )
+    length_share: _Share = Field(
+        1.0, description="length of its exposure over the integration time"
+    )
+
+
+class ReadingOptions(Record):
+    """One reading of the charge of a collector. Values of None are those of the pixel."""
+
+    name: str = Field(description="name, as in Frame.readings")
+    collector: str = Field(description="name of the collector that it reads")
+    overflow: bool = Field(
+        False, description="whether it reads the overflow capacitor with the photodiode"
+    )
+    conversion_gain_uv_per_e: _ConversionGain | None = Field(
+        None, description="conversion gain of the floating diffusion"
+    )
+    read_noise_e: NoiseElectrons | None = Field(
+        None, description="temporal read noise, without the reset noise of resets"
+    )
+    limit_e: Well | None = Field(
+        None,
+        description=(
+            "largest charge that it can read (absent: the charge that gives the voltage of the"
+            " full collector at its lowest conversion gain, at most what it holds)"
+        ),
+    )
+    bits: Annotated[int, Field(ge=1, le=24)] | None = Field(None, description="bits of its ADC")
+    black_level_dn: Annotated[float, Field(ge=0, lt=2**24)] | None = Field(
+        None, description="offset added before its ADC"
+    )
+    resets: ResetFactor | None = Field(
+        None,
+        description=(
+            "n in the reset noise variance n kTC/q², with C = q over the conversion gain (absent:"
+            " the reset noise of the pixel)"
+        ),
+    )
+    gain_error: Annotated[float, Field(ge=-0.9, le=10)] = Field(
+        0.0, description="error of its gain, relative, of which the merge does not know"
+    )
+    black_error_dn: Annotated[float, Field(ge=-(2.0**24), le=2.0**24)] = Field(
+        0.0, description="error of its black level, of which the merge does not know"
+    )
+
+
+class ReadoutOptions(Record):
+    """Several readings of a pixel, and how they merge to one estimate of its electrons.
+
+    `kind` makes collectors and readings of a few numbers; lists are in the order of decreasing
+    sensitivity. `collector` and `reading` describe any other pixel in full, in place of `kind`.
+    """
+
+    kind: Literal["single", "dual_gain", "split", "staggered", "overflow"] = Field(
+        "single",
+        description=(
+            "'single', one reading; 'dual_gain', one charge at two conversion gains; 'split', a"
+            " large and a small photodiode; 'staggered', exposures of several lengths; 'overflow',"
+            " a photodiode, and with it a capacitor for the charge beyond its full well"
+        ),
+    )
+    merge: Literal["select", "blend", "max_likelihood"] = Field(
+        "select",
+        description=(
+            "'select', the most sensitive valid reading; 'blend', from one reading to the next"
+            " between blend_from_share and blend_to_share; 'max_likelihood', weights of least"
+            " variance, for the level of the neighbourhood"
+        ),
+    )
+    validity_sigmas: Annotated[float, Field(ge=0, le=100)] = Field(
+        4.0,
+        description=(
+            "a reading is valid below the code of its limit by so many standard deviations of the"
+            " noise behind the limit"
+        ),
+    )
+    blend_from_share: UnitInterval = Field(
+        0.5, description="share of the limit of the sensitive reading at which a blend begins"
+    )
+    blend_to_share: Fraction = Field(
+        0.9, description="share of the limit of the sensitive reading at which a blend ends"
+    )
+
+    conversion_gain_uv_per_e: _Gains | None = Field(
+        None, description="conversion gains of the readings; dual_gain and overflow: [high, low]"
+    )
+    full_well_e: _Wells | None = Field(
+        None,
+        description=(
+            "full well: dual_gain and overflow, of the photodiode; split, [large, small] (absent:"
+            " the full well of the pixel)"
+        ),
+    )
+    read_noise_e: _Noises | None = Field(
+        None,
+        description=(
+            "read noise of the readings, without the kTC noise of an overflow capacitor (absent:"
+            " that of the pixel)"
+        ),
+    )
+    dark_current_e_per_s: _Currents | None = Field(
+        None, description="split: dark currents [large, small] (absent: that of the pixel)"
+    )
+    response: _Responses | None = Field(
+        None, description="split: light of the photodiodes, [1, that of the small one]"
+    )
+    ratio: Annotated[float, Field(ge=1, le=1e6)] | None = Field(
+        None, description="staggered: ratio of the lengths of successive exposures"
+    )
+    count: Annotated[int, Field(ge=2, le=MAX_READINGS)] = Field(
+        2, description="staggered: number of exposures; integration_s is the longest"
+    )
+    gap_us: Annotated[float, Field(ge=0, le=1e9)] = Field(
+        0.0, description="staggered: time from the end of an exposure to the start of the next"
+    )
+    capacity_e: Well | None = Field(
+        None, description="overflow: charge beyond the full well that the capacitor holds"
+    )
+    resets: ResetFactor = Field(
+        1.0,
+        description=(
+            "overflow: n in the reset noise variance n kTC/q² of the capacitor: frame memory or"
+            " soft reset 1, delta double sampling 2"
+        ),
+    )
+    capacitor_dark_e_per_s: Current = Field(
+        0.0, description="overflow: dark current of the capacitor"
+    )
+
+    collector: tuple[CollectorOptions, ...] = Field(
+        (), max_length=MAX_READINGS, description="in place of kind: the collectors"
+    )
+    reading: tuple[ReadingOptions, ...] = Field(
+        (), max_length=MAX_READINGS, description="in place of kind: the readings"
+    )
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Self:
+        if self.collector or self.reading:
+            _check_full(self)
+            return self
+        numbers = _NUMBERS[self.kind]
+        for name, lengths in numbers.items():
+            value = getattr(self, name)
+            length = len(value) if isinstance(value, tuple) else 1
+            if (value is None and None not in lengths) or (
+                value is not None and length not in lengths
+            ):
+                counts = " or ".join(str(count) for count in lengths if count)
+                got = f"no {name}" if value is None else f"{name} of {length} numbers"
+                raise ValueError(
+                    f"got {got} with kind = '{self.kind}'; allowed: {name} of {counts} numbers"
+                )
+        fields = ReadoutOptions.model_fields
+        further = [
+            name
+            for name in _NUMBERS_OF_KINDS
+            if name not in numbers and getattr(self, name) != fields[name].default
+        ]
+        if further:
+            raise ValueError(
+                f"got {', '.join(further)} with kind = '{self.kind}', which does not use it;"
+                f" allowed: {', '.join(numbers) or 'no numbers'}"
+            )
+        if self.blend_from_share >= self.blend_to_share:
+            raise ValueError(
+                f"got blend_from_share = {self.blend_from_share:g}; allowed: below blend_to_share,"
+                f" {self.blend_to_share:g}"
+            )
+        return self
+
+    @property
+    def is_single(self) -> bool:
+        """Whether the pixel is read once, as it states itself."""
+        return self.kind == "single" and not self.reading
+
+    @property
+    def model(self) -> tuple[tuple[CollectorOptions, ...], tuple[ReadingOptions, ...]]:
+        """Collectors and readings in full."""
+        if self.reading:
+            return self.collector, self.reading
+        return _MODELS[self.kind](self)
+
+
+def _check_full(options: ReadoutOptions) -> None:
+    """Raise ValueError unless collectors and readings refer to each other, by names that are not
+    used twice.
+    """
+    stated = [name for name in ("kind", *_NUMBERS_OF_KINDS) if name in options.model_fields_set]
+    if stated:
+        raise ValueError(
+            f"got {', '.join(stated)} with [[readout.collector]] or [[readout.reading]]; allowed:"
+            " one of both. Give the numbers to the collectors and readings"
+        )
+    for name, records in (("collector", options.collector), ("reading", options.reading)):
+        names = [record.name for record in records]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(
+                f"got [[readout.{name}]] with the names {', '.join(names) or 'none'}; allowed: at"
+                " least one, each with a name of its own"
+            )
+    collectors = {record.name for record in options.collector}
+    unknown = [record.name for record in options.reading if record.collector not in collectors]
+    if unknown:
+        raise ValueError(
+            f"got readings {', '.join(unknown)} of no [[readout.collector]]; allowed:"
+            f" {', '.join(sorted(collectors))}"
+        )
+    if options.collector[0].response != 1 or options.collector[0].length_share != 1:
+        raise ValueError(
+            f"got the first collector, {options.collector[0].name}, with response ="
+            f" {options.collector[0].response:g} and length_share ="
+            f" {options.collector[0].length_share:g}; allowed: 1, since it is the reference"
+        )
+
+
+_Model = tuple[tuple[CollectorOptions, ...], tuple[ReadingOptions, ...]]
+
+
+def _numbers(values: tuple[float, ...] | None, count: int) -> tuple[float | None, ...]:
+    """Return the values of a list, or None for each where it is absent."""
+    return (None,) * count if values is None else values
+
+
+def _single(_: ReadoutOptions) -> _Model:
+    return (), ()
+
+
+def _dual_gain(options: ReadoutOptions) -> _Model:
+    (full_well_e,) = _numbers(options.full_well_e, 1)
+    noises_e = _numbers(options.read_noise_e, 2)
+    assert options.conversion_gain_uv_per_e is not None
+    collector = CollectorOptions(name="pixel", full_well_e=full_well_e)
+    readings = tuple(
+        ReadingOptions(
+            name=name, collector="pixel", conversion_gain_uv_per_e=gain, read_noise_e=noise_e
+        )
+        for name, gain, noise_e in zip(
+            ("high", "low"), options.conversion_gain_uv_per_e, noises_e, strict=True
+        )
+    )
+    return (collector,), readings
+
+
+def _split(options: ReadoutOptions) -> _Model:
+    assert options.response is not None
+    names = "large", "small"
+    wells_e = _numbers(options.full_well_e, 2)
+    currents = _numbers(options.dark_current_e_per_s, 2)
+    gains = _numbers(options.conversion_gain_uv_per_e, 2)
+    noises_e = _numbers(options.read_noise_e, 2)
+    collectors = tuple(
+        CollectorOptions(
+            name=name, response=response, full_well_e=well_e, dark_current_e_per_s=current
+        )
+        for name, response, well_e, current in zip(
+            names, options.response, wells_e, currents, strict=True
+        )
+    )
+    readings = tuple(
+        ReadingOptions(
+            name=name, collector=name, conversion_gain_uv_per_e=gain, read_noise_e=noise_e
+        )
+        for name, gain, noise_e in zip(names, gains, noises_e, strict=True)
+    )
+    return collectors, readings
+
+
+def _staggered(options: ReadoutOptions) -> _Model:
+    assert options.ratio is not None
+    shares = [options.ratio**-number for number in range(options.count)]
+    names = ["long", *(f"short{number}" for number in range(1, options.count))]
+    collectors = tuple(
+        CollectorOptions(
+            name=name,
+            length_share=share,
+            start_s=1e-6 * options.gap_us * number,
+            start_share=sum(shares[:number]),
+        )
+        for number, (name, share) in enumerate(zip(names, shares, strict=True))
+    )
+    noise_e = None if options.read_noise_e is None else options.read_noise_e[0]
+    return collectors, tuple(
+        ReadingOptions(name=name, collector=name, read_noise_e=noise_e) for name in names
+    )
+
+
+def _overflow(options: ReadoutOptions) -> _Model:
+    (full_well_e,) = _numbers(options.full_well_e, 1)
+    noises_e = _numbers(options.read_noise_e, 2)
+    assert options.conversion_gain_uv_per_e is not None
+    assert options.capacity_e is not None
+    high, low = options.conversion_gain_uv_per_e
+    collector = CollectorOptions(
+        name="pixel",
+        full_well_e=full_well_e,
+        capacity_e=options.capacity_e,
+        capacitor_dark_e_per_s=options.capacitor_dark_e_per_s,
+    )
+    return (collector,), (
+        ReadingOptions(
+            name="high", collector="pixel", conversion_gain_uv_per_e=high, read_noise_e=noises_e[0]
+        ),
+        ReadingOptions(
+            name="low",
+            collector="pixel",
+            overflow=True,
+            conversion_gain_uv_per_e=low,
+            read_noise_e=noises_e[1],
+            resets=options.resets,
+        ),
+    )
+
+
+_MODELS: dict[str, Callable[[ReadoutOptions], _Model]] = {
+    "single": _single,
+    "dual_gain": _dual_gain,
+    "split": _split,
+    "staggered": _staggered,
+    "overflow": _overflow,
+}
+# Of each kind: its fields, and how many numbers they may have; None for fields that may be absent.
+_NUMBERS: dict[str, dict[str, tuple[int | None, ...]]] = {
+    "single": {},
+    "dual_gain": {
+        "conversion_gain_uv_per_e": (2,),
+        "full_well_e": (1, None),
+        "read_noise_e": (2, None),
+    },
+    "split": {
+        "response": (2,),
+        "full_well_e": (2,),
+        "read_noise_e": (2, None),
+        "conversion_gain_uv_per_e": (2, None),
+        "dark_current_e_per_s": (2, None),
+    },
+    "staggered": {"ratio": (1,), "count": (1,), "gap_us": (1,), "read_noise_e": (1, None)},
+    "overflow": {
+        "conversion_gain_uv_per_e": (2,),
+        "capacity_e": (1,),
+        "full_well_e": (1, None),
+        "read_noise_e": (2, None),
+        "resets": (1,),
+        "capacitor_dark_e_per_s": (1,),
+    },
+}
+_NUMBERS_OF_KINDS = tuple(dict.fromkeys(name for fields in _NUMBERS.values() for name in fields))

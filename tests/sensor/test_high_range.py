@@ -1,0 +1,433 @@
+"""Pixels of several readings: closed forms against published and independent numbers, frames
+against the closed forms.
+
+Statistical gates are the .1 and 99.9 % points with fixed seeds, or 4 standard errors.
+"""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import lights
+from helpers.chains import imaging_chain
+from helpers.claims import Claim
+from helpers.statistics import seeded
+from scipy.stats import chi2
+
+import pixsim
+from pixsim import Pixel, PixsimError
+from pixsim.sensor.correction import correct, residual_variance_e2
+from pixsim.sensor.correction_options import Correction
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.merge import level_variance_e2, merged_level
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
+from pixsim.sensor.readout import MergedFrame, capture_from_rates, sample_sensor
+from pixsim.viewer.noise_budget import noise_budget
+
+SHEET: dict[str, Any] = {
+    "pitch_um": 2.8,
+    "full_well_e": 22000,
+    "read_noise_e": 0.83,
+    "dark_current_e_per_s": 0,
+    "quantum_efficiency": 0.6,
+    "bits": 12,
+}
+DUAL = {"kind": "dual_gain", "conversion_gain_uv_per_e": [200, 49], "read_noise_e": [0.83, 3.05]}
+
+
+def pixel(readout: dict[str, Any] | None, *, at_limit: bool = False, **over: Any) -> Pixel:
+    """A data sheet; `at_limit` has readings that are valid up to their limit."""
+    if readout is not None and at_limit:
+        readout = readout | {"validity_sigmas": 0}
+    return Pixel(**SHEET | over, readout=readout)
+
+
+def split_of_three(small_noise_e: float = 2.96, **over: Any) -> dict[str, Any]:
+    """Solhusvik et al., IISW 2019, R32, table 1."""
+    return {
+        "collector": [{"name": "large"}, {"name": "small", "response": 0.01, "full_well_e": 7900}],
+        "reading": [
+            {
+                "name": name,
+                "collector": collector,
+                "conversion_gain_uv_per_e": gain,
+                "read_noise_e": noise_e,
+            }
+            for name, collector, gain, noise_e in (
+                ("high", "large", 200, 0.83),
+                ("low", "large", 49, 3.05),
+                ("small", "small", 49, small_noise_e),
+            )
+        ],
+    } | over
+
+
+def staggered(ratio: float, *, at_limit: bool = True, **over: Any) -> Pixel:
+    readout = {"kind": "staggered", "ratio": ratio} | over
+    return pixel(readout, at_limit=at_limit, full_well_e=10_000, read_noise_e=2)
+
+
+def overflow(low: float, full_well_e: float = 1000.0, resets: float = 1) -> Pixel:
+    """A lateral overflow capacitor; amplifier noise is left out."""
+    readout = {
+        "kind": "overflow",
+        "conversion_gain_uv_per_e": [160, low],
+        "capacity_e": 100_000,
+        "read_noise_e": [0, 0],
+        "resets": resets,
+    }
+    return pixel(readout, at_limit=True, full_well_e=full_well_e, temperature_k=300)
+
+
+def snr(sensor: Pixel, charge_e: float, reading: str | None = None) -> float:
+    return float(pixsim.snr_db(sensor, charge_e, rounding=False, reading=reading))
+
+
+def largest_bias(sensor: Pixel, levels: tuple[float, float]) -> float:
+    """Relative, of all levels between two."""
+    level_e = np.linspace(*levels, 1001)
+    return float((merged_level(Readout.of(derive(sensor)), level_e, 0.0).bias_e / level_e).min())
+
+
+def dark_noise_e(merge: str, rounding: bool) -> float:
+    readout = Readout.of(derive(pixel(split_of_three(merge=merge))))
+    return math.sqrt(float(level_variance_e2(readout, np.zeros(1), 0.0, rounding=rounding)[0]))
+
+
+OVT = pixel(split_of_three(), at_limit=True)
+OVT_083 = pixel(split_of_three(0.83), at_limit=True)
+BEST = "max_likelihood"
+LAST_DIGIT = "last digit of the number"
+NUMBERS = [
+    ("high gain at its limit", lambda: snr(OVT, 5390, "high"), 37.315, 3),
+    ("low gain there", lambda: snr(OVT, 5390, "low"), 37.308, 3),
+    ("large diode at its limit", lambda: snr(OVT, 22_000, "low"), 43.42, 2),
+    ("small diode there, .83 e-", lambda: snr(OVT_083, 22_000, "small"), 23.41, 2),
+    ("small diode there, 2.96 e-", lambda: snr(OVT, 22_000, "small"), 23.25, 2),
+    ("small diode full, .83 e-", lambda: snr(OVT_083, 790_000), 38.98, 2),
+    ("small diode full, 2.96 e-", lambda: snr(OVT, 790_000), 38.97, 2),
+    ("makers' range", lambda: pixsim.dynamic_range(OVT_083, rounding=False).maker_db, 119.57, 2),
+    ("makers' range with rounding", lambda: pixsim.dynamic_range(OVT_083).maker_db, 118.74, 2),
+    ("range from 0 dB", lambda: pixsim.dynamic_range(OVT, rounding=False).total_db, 114.61, 2),
+    (
+        "range from 0 dB of the large diode",
+        lambda: pixsim.dynamic_range(pixel(DUAL, at_limit=True), rounding=False).total_db,
+        83.51,
+        2,
+    ),
+    (
+        "makers' range of the large diode",
+        lambda: pixsim.dynamic_range(pixel(DUAL), rounding=False).maker_db,
+        88.47,
+        2,
+    ),
+    (
+        "makers' range of its low gain",
+        lambda: pixsim.dynamic_range(pixel(None, read_noise_e=3.05), rounding=False).maker_db,
+        77.16,
+        2,
+    ),
+    (
+        "ranges at 30 dB",
+        lambda: pixsim.dynamic_range(OVT, 30, rounding=False).ranges_e[0][0],
+        1000.7,
+        1,
+    ),
+    (
+        "gap at 30 dB",
+        lambda: np.array(pixsim.dynamic_range(OVT, 30, rounding=False).gaps_e[0]),
+        [22_000, 100_869],
+        0,
+    ),
+    ("all at 30 dB", lambda: pixsim.dynamic_range(OVT, 30, rounding=False).total_db, 57.95, 2),
+    (
+        "contiguous at 30 dB",
+        lambda: pixsim.dynamic_range(OVT, 30, rounding=False).contiguous_db,
+        26.84,
+        2,
+    ),
+    (
+        "one range at 20 dB",
+        lambda: np.ravel(pixsim.dynamic_range(OVT, 20, rounding=False).ranges_e),
+        [100.68, 790_000],
+        2,
+    ),
+    ("and its length", lambda: pixsim.dynamic_range(OVT, 20, rounding=False).total_db, 77.89, 2),
+    ("dark noise, select", lambda: dark_noise_e("select", False), 0.83, 2),
+    ("dark noise, max_likelihood", lambda: dark_noise_e("max_likelihood", False), 0.80, 2),
+    ("dark noise, select, rounded", lambda: dark_noise_e("select", True), 0.913, 3),
+    ("dark noise, max_likelihood, rounded", lambda: dark_noise_e("max_likelihood", True), 0.882, 3),
+    ("long exposure, ratio 4", lambda: snr(staggered(4), 10_000, "long"), 40.00, 2),
+    *(
+        (f"short exposure, ratio {ratio}", lambda r=ratio: snr(staggered(r), 1e4, "short1"), db, 2)
+        for ratio, db in ((4, 33.97), (8, 30.96), (16, 27.93), (32, 24.89))
+    ),
+    *(
+        (
+            f"both exposures at {level} e-, {merge}",
+            lambda m=merge, c=level: snr(staggered(16, merge=m), c),
+            db,
+            digits,
+        )
+        for level, digits, merged_db, long_db in (
+            (100, 3, 19.998, 19.830),
+            (1000, 3, 30.232, 29.983),
+            (9000, 2, 39.80, 39.54),
+        )
+        for merge, db in (("max_likelihood", merged_db), ("select", long_db))
+    ),
+    ("10 µV/e-, at 1000 e-", lambda: snr(overflow(10), 1000, "low"), 24.45, 2),
+    ("40 µV/e-, at 1000 e-", lambda: snr(overflow(40), 1000, "low"), 27.84, 2),
+    ("10 µV/e-, at 5000 e-", lambda: snr(overflow(10, 5000), 5000, "low"), 35.18, 2),
+    ("two resets, at 1000 e-", lambda: snr(overflow(10, resets=2), 1000, "low"), 22.10, 2),
+    ("two resets, at 5000 e-", lambda: snr(overflow(10, 5000, 2), 5000, "low"), 33.91, 2),
+    *(
+        (
+            f"kTC at {gain} µV/e-, {resets} resets",
+            lambda g=gain, r=resets: Readout.of(derive(overflow(g, resets=r))).readings[1].noise_e,
+            noise_e,
+            1,
+        )
+        for gain, resets, noise_e in ((160, 1, 12.7), (40, 1, 25.4), (10, 1, 50.8), (10, 2, 71.9))
+    ),
+    (
+        "bias, 16:1",
+        lambda: 1e3 * largest_bias(staggered(16, at_limit=False), (9e3, 1.1e4)),
+        -3.99,  # -w φ(0)/SNR
+        2,
+    ),
+    (
+        "bias, 16:1, max_likelihood",
+        lambda: 1e3 * largest_bias(staggered(16, at_limit=False, merge=BEST), (9e3, 1.1e4)),
+        -3.8,
+        1,
+    ),
+    (
+        "bias beyond a switch of two gains, by full readings that pass",
+        lambda: 1e5 * largest_bias(pixel(DUAL | {"read_noise_e": [8.3, 3.05]}), (2e4, 2.2e4)),
+        -2.0,
+        0,
+    ),
+    (
+        "bias, large to small",
+        lambda: 1e3 * largest_bias(pixel(split_of_three(validity_sigmas=6)), (2.1e4, 2.3e4)),
+        -2.69,  # -w φ(0)/SNR
+        2,
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        Claim(name, call, expected, atol=10.0**-digits, why=LAST_DIGIT)
+        for name, call, expected, digits in NUMBERS
+    ],
+    ids=str,
+)
+def test_numbers_of_several_readings(claim: Claim) -> None:
+    claim.check()
+
+
+# Kinds with their options, levels between switches and near one, electrons.
+DARK = {"dark_current_e_per_s": 500, "black_level_dn": 64}
+KINDS: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
+    "dual_gain": (DUAL, (0.5, 300, 4000, 5330, 15_000)),
+    "split": (
+        {
+            "kind": "split",
+            "response": [1, 0.01],
+            "full_well_e": [22_000, 7900],
+            "read_noise_e": [0.83, 2.96],
+            "dark_current_e_per_s": [500, 80],
+        },
+        (0.5, 4000, 21_950, 300_000),
+    ),
+    "staggered": ({"kind": "staggered", "ratio": 16.0}, (0.5, 4000, 21_900, 200_000)),
+    "overflow": (
+        {
+            "kind": "overflow",
+            "conversion_gain_uv_per_e": [160, 10],
+            "capacity_e": 100_000,
+            "read_noise_e": [1, 5],
+            "capacitor_dark_e_per_s": 900,
+        },
+        (0.5, 4000, 7500, 60_000),
+    ),
+    "three": (split_of_three(), (100.0, 5300, 21_950, 100_000)),
+}
+SHAPE = (200, 400)
+TIME_S = 0.1
+
+
+def frame_of(
+    sensor_pixel: Pixel, level_e: float, exposure: Exposure | None = None, **over: Any
+) -> MergedFrame:
+    exposure = exposure or Exposure(integration_s=TIME_S)
+    readout = Readout.of(derive(sensor_pixel)).with_physics(**over)
+    sensor = sample_sensor(readout, SHAPE, seeded(5))
+    rates = np.full(SHAPE, level_e / TIME_S)
+    frame = capture_from_rates(rates, sensor, exposure, seeded(6))
+    assert isinstance(frame, MergedFrame)
+    return frame
+
+
+@pytest.mark.parametrize("merge", ["select", "blend", "max_likelihood"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_have_mean_and_variance_of_the_closed_form(kind: str, merge: str) -> None:
+    """200 means of 400 pixels have the variance of the closed form, near a switch with its bias.
+
+    Validity of 6 σ leaves out full readings that pass: 80 000 pixels have too few of them.
+    """
+    options, levels = KINDS[kind]
+    sensor_pixel = pixel(options | {"merge": merge, "validity_sigmas": 6}, **DARK)
+    readout = Readout.of(derive(sensor_pixel))
+    for level_e in levels:
+        moments = merged_level(readout, np.array([level_e]), TIME_S)
+        estimate_e = frame_of(sensor_pixel, level_e).estimate_e
+        expected_e = level_e + float(moments.bias_e[0])
+        sigma_e = math.sqrt(float(moments.variance_e2[0]))
+        z = (estimate_e.mean() - expected_e) / (sigma_e / math.sqrt(estimate_e.size))
+        assert abs(z) < 4, f"{level_e} e-: mean off by {z:.1f} standard errors"
+        square = ((estimate_e - expected_e) / sigma_e) ** 2
+        z = (square.mean() - 1) / (square.std() / math.sqrt(square.size))
+        assert abs(z) < 4, f"{level_e} e-: variance off by {z:.1f} standard errors"
+        row_means = (estimate_e.mean(axis=1) - expected_e) / (sigma_e / math.sqrt(SHAPE[1]))
+        low, high = chi2.ppf([0.001, 0.999], SHAPE[0])
+        assert low < (row_means**2).sum() < high
+
+
+def test_two_gains_of_one_charge_never_beat_shot_noise_and_two_exposures_do() -> None:
+    level_e = np.array([100.0, 1000.0, 4000.0])
+    for options, beats in ((DUAL, False), ({"kind": "staggered", "ratio": 2.0}, True)):
+        readout = Readout.of(derive(pixel(options | {"merge": "max_likelihood"})))
+        variance_e2 = level_variance_e2(readout, level_e, 0.0)
+        assert np.all((variance_e2 < level_e) == beats)
+
+
+def test_full_readings_that_pass_err_by_what_the_limit_cuts_off() -> None:
+    """With a validity of 2 σ, 2 % of the full pixels pass."""
+    options = {"conversion_gain_uv_per_e": [160, 10], "capacity_e": 1e5, "read_noise_e": [8, 5]}
+    sensor_pixel = pixel(options | {"kind": "overflow", "validity_sigmas": 2}, **DARK)
+    moments = merged_level(Readout.of(derive(sensor_pixel)), np.array([30_000.0]), TIME_S)
+    error_e = frame_of(sensor_pixel, 30_000.0).estimate_e - 30_000
+    bias_e, variance_e2 = float(moments.bias_e[0]), float(moments.variance_e2[0])
+    assert bias_e < -200
+    assert abs(error_e.mean() - bias_e) < 4 * error_e.std() / math.sqrt(error_e.size)
+    square = (error_e - bias_e) ** 2
+    assert abs(square.mean() - variance_e2) < 4 * square.std() / math.sqrt(square.size)
+
+
+def test_a_gain_error_makes_a_step_at_the_switch() -> None:
+    """The mean steps by the difference of the gain errors times the level."""
+    options = split_of_three()
+    options["reading"][1] = options["reading"][1] | {"gain_error": 0.02}
+    options["reading"][2] = options["reading"][2] | {"black_error_dn": 0.5}
+    faulty = pixel(options, black_level_dn=64)
+    below, above, small = (frame_of(faulty, level).estimate_e.mean() for level in (5e3, 6e3, 5e4))
+    half_dn_e = 0.5 * 7900 / 4031 / 0.01
+    for got, expected in ((below, 5e3), (above, 1.02 * 6e3), (small, 5e4 + half_dn_e)):
+        assert abs(got - expected) < 4 * math.sqrt(expected / 0.01 / math.prod(SHAPE))
+
+
+def test_patterns_belong_to_photodiodes() -> None:
+    """Exposures of one photodiode share PRNU; large and small photodiodes do not."""
+    shared = {}
+    for kind in ("staggered", "split"):
+        frame = frame_of(pixel(KINDS[kind][0], prnu=0.1), 20_000.0)
+        first, second = (codes.astype(float).ravel() for codes in frame.readings.values())
+        shared[kind] = np.corrcoef(first, second)[0, 1]
+    assert shared["staggered"] > 0.9
+    assert abs(shared["split"]) < 4 / math.sqrt(math.prod(SHAPE))
+
+
+def test_a_burst_is_the_sum_of_its_merged_subexposures() -> None:
+    exposure = Exposure(integration_s=TIME_S, frames=4)
+    frame = frame_of(pixel(DUAL, **DARK), 16_000.0, exposure)
+    estimate_e = frame.estimate_e
+    assert abs(estimate_e.mean() - 16_000) < 4 * math.sqrt(16_000 / estimate_e.size)
+    assert estimate_e.var() == pytest.approx(frame.estimate_variance_e2.mean(), rel=0.02)
+
+
+def test_merged_frames_have_no_codes_of_their_own() -> None:
+    frame = frame_of(pixel(DUAL), 1000.0)
+    with pytest.raises(PixsimError, match=r"readings\['high'\], readings\['low'\]"):
+        _ = frame.dn
+    weights = sum(frame.reading_weights.values())
+    assert np.allclose(weights, 1)
+    assert frame_of(pixel(DUAL), 30_000.0).saturated_fraction == 1
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".exr", ".tiff", ".png"])
+def test_raw_files_have_the_readings_one_below_the_other(tmp_path: Path, suffix: str) -> None:
+    frame = frame_of(pixel(DUAL, black_level_dn=64), 1000.0)
+    pixsim.write_frame(tmp_path / f"raw{suffix}", frame)
+    raw = pixsim.read_frame(tmp_path / f"raw{suffix}")
+    assert raw.readings is not None
+    low = raw.readings["low"]
+    electrons = (raw.reading("low").astype(float) - low["black_level_dn"]) / low["dn_per_e"]
+    assert np.array_equal(raw.reading("high"), frame.readings["high"])
+    assert electrons.mean() == pytest.approx(1000, rel=0.005)
+
+
+def test_dark_and_flat_frames_correct_merged_frames() -> None:
+    """PRNU of 5 % goes: 0.5 % of the pixels' noise is left by 100 flat frames."""
+    sensor_pixel = pixel(DUAL, prnu=0.05, dsnu=0.3, **DARK)
+    frame = frame_of(sensor_pixel, 9000.0)
+    readout = Readout.of(derive(sensor_pixel))
+    sensor = sample_sensor(readout, SHAPE, seeded(5))
+    correction = Correction(dark_frames=20, flat_frames=100, column_clamp=50)
+    corrected = correct(frame, sensor, correction, seeded(7)).estimate_e
+    residual = residual_variance_e2(9000.0, TIME_S, readout, correction)
+    assert frame.estimate_e.var() > 10 * corrected.var()
+    assert corrected.var() == pytest.approx(float(np.asarray(residual.total)), rel=0.03)
+
+
+SPLIT = KINDS["split"][0] | {"dark_current_e_per_s": [0, 0]}
+COLOUR = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.6}
+
+
+def evaluated(sensor_pixel: Pixel, wells: float, **over: Any) -> Any:
+    """Score of the patches, their white at so many full wells of 22 000 electrons."""
+    light = lights.patches()
+    camera = lights.camera(light)
+    chain = imaging_chain(light, camera, sensor_pixel)
+    time_s = wells * 22_000 / chain.white_e_per_s
+    exposure = Exposure(integration_s=time_s)
+    return pixsim.evaluate(light, camera, sensor_pixel, exposure, metrics=list(over), seed=1)
+
+
+@pytest.mark.parametrize("colour", [None, COLOUR], ids=["grey", "mosaic"])
+@pytest.mark.parametrize("merge", ["select", "blend", "max_likelihood"])
+def test_light_beyond_the_full_well_is_shown_as_by_a_larger_well(
+    merge: str, colour: dict[str, Any] | None
+) -> None:
+    """White at 5 wells: the small photodiode holds it; ΔE is near that of a well as large."""
+    options = {"colour": colour, "black_level_dn": 64, "pitch_um": 20.0}
+    if colour is not None:
+        options["quantum_efficiency"] = None
+    merged = evaluated(pixel(SPLIT | {"merge": merge}, **options), 5.0, delta_e=1).mean_delta_e
+    options |= {"bits": 16}
+    large = evaluated(pixel(None, full_well_e=800_000, **options), 5.0, delta_e=1).mean_delta_e
+    clipped = evaluated(pixel(None, **options), 5.0, delta_e=1).mean_delta_e
+    assert large < merged < large + 0.1 * (clipped - large)
+
+
+def test_metrics_and_the_noise_budget_of_merged_frames() -> None:
+    """Of a merge whose small photodiode is never used, all numbers are those of the large one."""
+    names = ("information", "visual_noise", "mtf50", "snr10_lx", "niirs")
+    options = {"black_level_dn": 64, "pitch_um": 20.0}
+    merged = evaluated(pixel(SPLIT, **options), 0.4, **dict.fromkeys(names, 1)).metrics
+    single = evaluated(pixel(None, **options), 0.4, **dict.fromkeys(names, 1)).metrics
+    for name in names:
+        assert merged[name] == pytest.approx(single[name], rel=0.02), name
+
+    light = lights.patches()
+    chain = imaging_chain(light, lights.camera(light), pixel(SPLIT, **options))
+    chain = replace(chain, exposure=Exposure(integration_s=5 * 22_000 / chain.white_e_per_s))
+    budget = noise_budget(chain, light, "budget", 1)
+    assert budget.measured_e == pytest.approx(budget.total_e, rel=0.05)
