@@ -39,7 +39,7 @@ from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.development import Development
 from pixsim.viewer.merging import merge
 from pixsim.viewer.score import FrameScore
-from pixsim.viewer.without_effect import STREAM
+from pixsim.viewer.without_effect import STREAM, UserSettings
 
 gc.disable()  # until tests are collected, of which all stay
 
@@ -118,6 +118,18 @@ def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
     }
     found["TMPDIR"] = [words for words in found["TMPDIR"] if not words.startswith(UNFINISHED)]
     assert not any(found.values()), found
+
+
+@pytest.fixture(scope="module", autouse=True)
+def unreviewed(request: pytest.FixtureRequest) -> Iterator[None]:
+    """No setting is said to do nothing, which takes a third of the time of a small frame's score:
+    in rooms whose claims are others, but for the modules that have this one.
+    """
+    has_claim = request.path.stem in ("test_without_effect", "test_preparation")
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name in ("viewer", "studies", "explorer", "cli") and not has_claim:
+            patch.setattr(UserSettings, "without_effect", lambda _: [])
+        yield
 
 
 @pytest.fixture(scope="session")
