@@ -4,6 +4,7 @@ results.
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -89,12 +90,14 @@ def depth(value: object) -> int:
     return deepest
 
 
-def resolve_file(path: Path, name: object) -> Any:
-    """Path of a file named in a configuration file: in the folder of that file, or else in the
-    working directory.
+def resolve_file(path: Path, name: object, is_folder: bool = False) -> Any:
+    """Path of a file, or a folder, named in a configuration file: in the folder of that file, or
+    else in the working directory.
     """
-    if isinstance(name, str) and name and (path.parent / name).is_file():
-        return str(path.parent / name)
+    if isinstance(name, str) and name:
+        beside = path.parent / name
+        if beside.is_dir() if is_folder else beside.is_file():
+            return str(beside)
     return name
 
 
@@ -140,6 +143,11 @@ def settings_table_text(table: Mapping[str, Any], command: str) -> str:
     )
 
 
-def whole_path(name: str) -> str:
-    """The whole path of an existing file; any other name as it is."""
-    return str(Path(name).resolve()) if Path(name).is_file() else name
+def whole_path(name: str, start: Path | None = None, is_folder: bool = False) -> str:
+    """The whole path of an existing file, or folder, or its path from the folder `start`; any other
+    name as it is.
+    """
+    path = Path(name)
+    if not (path.is_dir() if is_folder else path.is_file()):
+        return name
+    return str(path.resolve()) if start is None else os.path.relpath(path.resolve(), start)

@@ -45,6 +45,11 @@ _SCENE_HELP = (
     "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target,"
     " macbeth, line_lamp, still_life, cornell_box, yard."
 )
+_PICTURE_HELP = f"{_SCENE_HELP} Or a spectral image from another program (.exr, .npz, .hdr)."
+_OF_CONFIG = (
+    "[default: that of --config, such as settings.toml of a run; a stated one replaces it with its"
+    " parameters]"
+)
 
 
 def run_command(tokens: Sequence[str]) -> None:
@@ -127,6 +132,12 @@ def _check_current_folder() -> None:
         ) from None
 
 
+Scene = Annotated[
+    str | None,
+    Parameter(
+        help=f"{_SCENE_HELP} {_OF_CONFIG}", show_default=False, completer=common.complete_scene
+    ),
+]
 Units = Annotated[
     str | None,
     Parameter(
@@ -139,15 +150,13 @@ Units = Annotated[
 @app.command(sort_key=0)
 def run(
     scene: Annotated[
-        str,
+        str | None,
         Parameter(
-            help=(
-                f"{_SCENE_HELP} Or a spectral image from another program (.exr, .npz, .hdr), as"
-                " the camera sees it."
-            ),
+            help=f"{_PICTURE_HELP} {_OF_CONFIG}",
+            show_default=False,
             completer=common.complete_picture,
         ),
-    ],
+    ] = None,
     *,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
@@ -221,11 +230,12 @@ def run(
 
     Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr,
     delta_e.png, score.json, settings.toml and report.html.
-    `pixsim run SCENE --config settings.toml` repeats it.
+    `pixsim run --config settings.toml` repeats it.
     """
     from pixsim.report.commands.run import run_files
 
     tables = {
+        "scene": scene,
         "display": display,
         "seed": seed,
         "tolerance_e": tolerance_e,
@@ -236,7 +246,6 @@ def run(
     settings = options.settings(effort, **tables)
     with stages() as (stage, seconds):
         document, page = run_files(
-            scene,
             settings,
             out,
             formats=raw or [],
@@ -260,12 +269,13 @@ def run(
 @app.command(sort_key=3)
 def explore(
     scene: Annotated[
-        str,
+        str | None,
         Parameter(
-            help=f"{_SCENE_HELP} Or a spectral image from another program (.exr, .npz, .hdr).",
+            help=f"{_PICTURE_HELP} [default: that of --config, or csf]",
+            show_default=False,
             completer=common.complete_picture,
         ),
-    ] = "csf",
+    ] = None,
     *,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
@@ -309,7 +319,7 @@ def explore(
 
 @app.command(sort_key=4)
 def plan(
-    scene: Annotated[str, Parameter(help=_SCENE_HELP, completer=common.complete_scene)],
+    scene: Scene = None,
     *,
     options: SceneOptions = common.NO_OPTIONS,
     tolerance_e: common.Tolerance = None,
@@ -326,8 +336,8 @@ def plan(
     """
     from pixsim.report.commands.plan import plan_answer
 
-    settings = options.settings(tolerance_e=tolerance_e)
-    answer(plan_answer(scene, settings, full=full, sensor=sensor, variant=variant), json)
+    settings = options.settings(scene=scene, tolerance_e=tolerance_e)
+    answer(plan_answer(settings, full=full, sensor=sensor, variant=variant), json)
 
 
 @app.command(sort_key=1)
@@ -371,7 +381,7 @@ def study(
     """
     from pixsim.report.commands.study import study_files
 
-    tables = options.scene_options.study_tables(scene, options.effort, **options.settings)
+    tables = options.scene_options.tables(options.effort, scene=scene, **options.settings)
     with stages() as (stage, seconds):
         document, page = study_files(
             study,
@@ -474,11 +484,10 @@ def compare(
         return
     from pixsim.report.commands.compare import comparison_files
 
-    tables = options.scene_options.tables(options.effort, **options.settings)
+    tables = options.scene_options.tables(options.effort, scene=scene, **options.settings)
     with stages() as (stage, seconds):
         document, page = comparison_files(
             sensors,
-            scene,
             tables,
             options.out,
             study=study,
@@ -495,7 +504,7 @@ def compare(
 
 @app.command(sort_key=8)
 def accuracy(
-    scene: Annotated[str, Parameter(help=_SCENE_HELP, completer=common.complete_scene)],
+    scene: Scene = None,
     *,
     quick: Annotated[bool, Parameter(help="Fewer films.")] = False,
     options: SceneOptions = common.NO_OPTIONS,
@@ -514,14 +523,15 @@ def accuracy(
     Writes ladder.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     from pixsim.report.accuracy import FILES, accuracy_document
+    from pixsim.studies.prepare import file_of_scene
     from pixsim.verification.ladder import Accuracy, measure_accuracy
 
-    settings = options.settings(display=display, seed=seed)
-    folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
+    settings = options.settings(scene=scene, display=display, seed=seed)
+    folder = out or DEFAULT_OUT / f"{Path(file_of_scene(settings)).stem}-accuracy"
 
     def measure(stage: Stage) -> Accuracy:
         return measure_accuracy(
-            scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage
+            settings, quick=quick, sensor=sensor, variant=variant, progress=stage
         )
 
     write_answer(measure, accuracy_document, folder, FILES, figures, json)

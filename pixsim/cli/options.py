@@ -39,7 +39,7 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import Detectability, MetricOptions
 from pixsim.viewer.setting import Run
-from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.settings_file import run_settings, scene_options
 
 QUIET = ("-q", "--quiet")
 _VERBOSE = ("-v", "--verbose")
@@ -443,42 +443,26 @@ class SceneOptions:
     correction: CorrectionTable = None
     develop: DevelopTable = None
 
-    def settings(self, effort: EffortOptions | None = None, **others: object) -> Run:
+    def settings(
+        self, effort: EffortOptions | None = None, *, scene: str | None = None, **others: object
+    ) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError
         that lists all problems.
         """
-        return run_settings(self.config or [], self.tables(effort, **others))
+        return run_settings(self.config or [], self.tables(effort, scene=scene, **others))
 
-    def tables(self, effort: EffortOptions | None = None, **others: object) -> dict[str, Any]:
-        """The options without the files, as tables of `Run`.
+    def tables(
+        self, effort: EffortOptions | None = None, *, scene: str | None = None, **others: object
+    ) -> dict[str, Any]:
+        """Return the options without the files, as tables of `Run` or of a study.
 
+        scene : file or name of the scene
         others : further tables and fields
         """
         values = {**vars(self), **others, **(vars(effort) if effort else {})}
         del values["config"]
-        return without_none(
-            {
-                "scene": definitions(
-                    values.pop("define"), values.pop("linear"), values.pop("assets")
-                ),
-                **values,
-            }
-        )
-
-    def study_tables(
-        self, scene: str | None, effort: EffortOptions, **others: object
-    ) -> dict[str, Any]:
-        """Return the options as tables of a study, which replace the tables of its file.
-
-        scene : XML file or name of a packaged scene
-        others : further tables and fields
-        """
-        values = {**vars(self), **others, **vars(effort)}
-        del values["config"]
         parameters = definitions(values.pop("define"), values.pop("linear"), values.pop("assets"))
-        return without_none(
-            {"scene": without_none({"file": scene, "parameters": parameters}) or None, **values}
-        )
+        return without_none({"scene": scene_options(scene, parameters) or None, **values})
 
 
 @Parameter(name="*")

@@ -110,7 +110,7 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
         controls.insert(
             2,
             Control(
-                f"scene.{ILLUMINANCE}",
+                f"scene.parameters.{ILLUMINANCE}",
                 "illuminance",
                 "lx",
                 "on the scene's part or place, where white (reflectance 1) has lux/π cd/m²",
@@ -120,9 +120,8 @@ def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Cont
         )
     elif EMITTER_SCALE in parameters:
         words = "of the chart's white; the display's white follows it, unless it is set"
-        controls.insert(
-            2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15)
-        )
+        path = f"scene.parameters.{LUMINANCE}"
+        controls.insert(2, Control(path, "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15))
     return controls
 
 
@@ -172,13 +171,18 @@ class Preset(NamedTuple):
     tables: Mapping[str, Any]
 
 
-def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset]:
+def presets_of(
+    config: Sequence[Path], tables: Mapping[str, Any], scene: Mapping[str, Any]
+) -> list[Preset]:
     """Return the presets: first the files and options of the user, then what pixsim packages.
 
     Of several files with a sensor's [pixel], each is a preset; the other files hold for all.
+
+    scene : of the user's files and options together, which all presets see
     """
     sensors = [path for path in config if "pixel" in settings_layer(path).table]
     presets = [Preset("start", "as given", tuple(config), tables)]
+    tables = {**tables, "scene": scene}
     if len(sensors) > 1:
         presets = [
             Preset(
@@ -218,16 +222,15 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict
 
 
 def command_words(
-    source: str,
-    config: Sequence[Path],
-    tables: Mapping[str, Any],
-    repeats: int,
-    flags: Sequence[str],
+    config: Sequence[Path], tables: Mapping[str, Any], repeats: int, flags: Sequence[str]
 ) -> str:
     """Return the command `pixsim run` with these settings files, options and further words, for a
     shell.
+
+    tables : which state the scene, unless a file does
     """
-    words = ["pixsim", "run", source]
+    file = tables.get("scene", {}).get("file")
+    words = ["pixsim", "run", *([] if file is None else [str(file)])]
     for path in config:
         words += ["--config", str(path)]
     words += [*flags, *_options(tables)]
@@ -243,7 +246,9 @@ def _options(tables: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator
     """
     for name, value in tables.items():
         path = (*above, name)
-        if isinstance(value, Mapping) and path != ("scene",):
+        if path == ("scene", "file"):
+            continue  # SCENE of the command
+        if isinstance(value, Mapping) and path != ("scene", "parameters"):
             yield from _options(value, path)
         elif isinstance(value, Mapping):
             yield from (

@@ -40,14 +40,15 @@ from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scal
 from pixsim.show.render import text
 from pixsim.studies.design import metrics_of
 from pixsim.studies.prepare import Job
-from pixsim.studies.run import LIGHT_FILE, RenderedRun, RunResult, prepare, render_run, score_run
+from pixsim.studies.run import RenderedRun, RunResult, prepare, render_run, score_run
+from pixsim.viewer.merging import merge
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes
 from pixsim.viewer.score import converged
 from pixsim.viewer.screen import HEADER_OF_WHITE
 from pixsim.viewer.setting import Run
-from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.settings_file import run_settings, scene_options
 
 MAX_LIGHTS = 3  # in memory
 MAX_SENSORS = 2  # side by side
@@ -101,13 +102,14 @@ class Session:
 
     It does so in the thread of `serve`; `ask` and `end` may be called from any thread.
 
-    source : scene, or picture of another program; or light in memory
+    source : scene, or picture of another program; or light in memory. None takes the scene of
+        `config`, or csf
     config, tables : settings files and options of the user
     prepare_arguments : further arguments of `prepare`
     send : takes each message for the page
     """
 
-    source: str | SpectralImage
+    source: str | SpectralImage | None
     config: Sequence[Path] = ()
     tables: Mapping[str, Any] = field(default_factory=dict)
     prepare_arguments: Mapping[str, Any] = field(default_factory=dict)
@@ -121,10 +123,16 @@ class Session:
         self._lights: dict[str, RenderedRun] = {}  # the last one last
         self._scenes = RecentScenes()
         self._points: dict[str, list[float]] = {}
-        self.presets = presets_of(self.config, self.tables)
+        self.light = self.source if isinstance(self.source, SpectralImage) else None
+        file = self.source if isinstance(self.source, str) else None
+        if self.source is None and run_settings(self.config, self.tables).scene.file is None:
+            file = "csf"
+        tables = merge(dict(self.tables), {"scene": scene_options(file, {})})
+        start = run_settings(self.config, tables)
+        self.presets = presets_of(self.config, tables, start.scene.model_dump(exclude_unset=True))
         self.controls = controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
-        self.title = first.file if isinstance(self.source, str) else "light in memory"
+        self.title = first.file if self.light is None else "light in memory"
         if first.cases[0].picture is None:
             scene = first.cases[0].scene
             lenses = dict.fromkeys([first.stated.lens.file or NO_LENS, *packaged("data/lenses")])
@@ -251,13 +259,12 @@ class Session:
     def _job(self, request: PageRequest, number: int) -> Job[Run]:
         """Return the prepared run of a sensor."""
         preset, tables = self._settings(request, number)
-        source = self.source
-        if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
-            source = copy(source)
-            source.header = dict(source.header)
+        light = copy(self.light)
+        if light is not None:  # a run writes the white into the header of its light
+            light.header = dict(light.header)
         return prepare(
-            source,
             run_settings(preset.config, tables),
+            light=light,
             repeats=REPEATS,
             warns_of_unused_settings=False,
             **self.prepare_arguments,
@@ -377,10 +384,10 @@ class Session:
         for name in ("sensor", "variant", "units"):
             value = getattr(job, name)
             flags += [f"--{name}", value] if value else []
-        if isinstance(self.source, str):
-            command = command_words(job.file, preset.config, tables, REPEATS, flags)
+        if self.light is None:
+            command = command_words(preset.config, tables, REPEATS, flags)
         else:
-            command = command_words(LIGHT_FILE, (Path(SETTINGS_FILE),), {}, REPEATS, flags)
+            command = command_words((Path(SETTINGS_FILE),), {}, REPEATS, flags)
         is_sure = converged(result.light, result.light_limit)
         content |= {
             "lines": text(run_document(result), _MAX_COLUMNS).splitlines(),
@@ -398,7 +405,8 @@ class Session:
             if control.path == LENS:
                 values[LENS] = settings.lens.file or NO_LENS
             elif table == "scene":
-                values[control.path] = control.page_value(self._scene_value(result, name))
+                value = self._scene_value(result, name.rpartition(".")[2])
+                values[control.path] = control.page_value(value)
             else:
                 records = (
                     getattr(settings, table),
@@ -416,7 +424,7 @@ class Session:
     def _scene_value(self, result: RunResult, name: str) -> object:
         """Return the value of a scene parameter, or the luminance of a chart without one."""
         default = result.prepared.cases[0].scene.text().defaults.get(name)
-        value = result.settings.scene.get(name, default)
+        value = result.settings.scene.parameters.get(name, default)
         if value is None and result.plan:
             return result.plan.light.chart_white.get(LUMINANCE)
         return value

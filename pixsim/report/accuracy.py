@@ -15,6 +15,7 @@ from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, P
 from pixsim.show.figures import LINE_STYLES, new_figure, plain_powers
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
+from pixsim.studies.files import stated_settings
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.ladder import Accuracy
 
@@ -69,7 +70,7 @@ def _accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
         "stability": [plain(case.as_dict()) for case in accuracy.cases],
         "seconds": accuracy.seconds,
     }
-    settings = accuracy.settings.model_dump(mode="json", exclude_none=True)
+    settings = stated_settings(accuracy.settings)
     return result_data(content, settings=settings, notes=[], table="ladder.csv")
 
 

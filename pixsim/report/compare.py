@@ -86,7 +86,7 @@ from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
 from pixsim.studies.design import BASE, Case, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
-from pixsim.studies.files import scene_copy, scene_table, scene_to_repeat, settings_text
+from pixsim.studies.files import scene_copy, scene_table, settings_text, stated_settings
 from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.run import check_raw
 from pixsim.studies.sensors import SENSOR_TABLES, ComparisonJob, SensorGroup, pixels_of
@@ -97,6 +97,7 @@ from pixsim.viewer.display import white_light
 from pixsim.viewer.metrics import DELTA_E as DELTA_E_METRIC, Metric
 from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import Run, stage_words
+from pixsim.viewer.settings_file import scene_options
 
 _JSON_FILE = "compare.json"
 _SCORES = "scores"
@@ -219,14 +220,15 @@ def _settings_files(job: ComparisonJob) -> dict[str, str]:
     first = job.base[0]
     chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set
     display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
-    parameters = scene_table(job.shown.first.scene.path.parent, first.scene)
+    scene = job.shown.first.scene
+    parameters = scene_table(scene.path.parent, first.scene.parameters)
     tables: dict[str, Any] = {name: {} for name in SENSOR_TABLES}
-    tables |= {"display": display, "scene": parameters}
+    tables["display"] = display
+    tables["scene"] = scene_options(job.file, parameters)
     if study:
         cases = study.model_dump(mode="json", include={"axis", "condition", "detail"})
         tables |= {name: value for name, value in cases.items() if value}
         tables["name"] = study.name
-        tables["scene"] = {"file": scene_to_repeat(study.scene.file), "parameters": parameters}
     texts = {SETTINGS_FILE: settings_text(first, command, **tables)}
 
     # The files of the sensors have their own tables only.
@@ -247,10 +249,7 @@ def _repeating_command(job: ComparisonJob, files: Sequence[str], has_study: bool
     has_study : whether settings.toml is a study with axes or conditions
     """
     words = ["pixsim", "compare", *files]
-    if has_study:
-        words += ["--study", SETTINGS_FILE]
-    else:
-        words += ["--scene", scene_to_repeat(job.shown.scene), "--config", SETTINGS_FILE]
+    words += ["--study" if has_study else "--config", SETTINGS_FILE]
     if len(job.matches) == 1:
         words += ["--match", job.match]
     words += ["--repeats", str(job.repeats)]
@@ -501,7 +500,7 @@ def data(result: Comparison) -> dict[str, Any]:
     if job.study is not None:
         content["study"] = {"name": job.study.name}
 
-    sensor_settings = [_settings_data(run) for run in job.base]
+    sensor_settings = [stated_settings(run) for run in job.base]
     shared: dict[str, Any] = {
         "settings": {"sensors": dict(zip(result.names, sensor_settings, strict=True))},
         "notes": notes(result),
@@ -561,10 +560,6 @@ def _uncertainty_data(result: Comparison) -> dict[str, Any]:
             metrics = entries[pair.names[1]].setdefault("metrics", {})
             metrics[pair.metric.name] = pair.as_dict()
     return entries
-
-
-def _settings_data(settings: Run) -> dict[str, Any]:
-    return settings.model_dump(mode="json", exclude_none=True)
 
 
 def _condition_data(result: Comparison, group: SensorGroup) -> dict[str, Any]:
@@ -826,7 +821,7 @@ def _scene_rows(result: Comparison) -> list[Row]:
     light = result.sensors[0].light.image
     exposures_s = [sensor.score.frame.integration_s for sensor in result.sensors]
     level = LightLevel.of(light, group.display, exposures_s)
-    rows = scene_rows(light, group.first.settings.scene, level)
+    rows = scene_rows(light, group.first.settings.scene.parameters, level)
     seed = group.first.settings.seed
     rows.append(("seed", seed, "of all random numbers", "set" if seed else "default"))
     return rows

@@ -15,6 +15,7 @@ from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, DocumentTable
 from pixsim.show.sentences import settings_line
 from pixsim.studies.dry_run import Cost, planned_run, planned_study
+from pixsim.studies.files import stated_settings
 from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.settings import Study
 from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS
@@ -183,7 +184,7 @@ def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
         blocks.append(assumption)
     data = result_data(
         plan.as_dict() | {"assumption": assumption},
-        settings=settings.model_dump(mode="json", exclude_none=True),
+        settings=stated_settings(settings),
         notes=plan.warnings,
     )
     return Document("plan", "plan of a render", scene, data, blocks)

@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -69,7 +70,7 @@ from pixsim.show.pages import Plate, figure_files
 from pixsim.show.pictures import delta_e_png, factor_for, light_png, scale, scale_end, worst_window
 from pixsim.show.presenter import Presenter
 from pixsim.show.render import PAGE
-from pixsim.studies.files import scene_copy, scene_table, scene_to_repeat, settings_text
+from pixsim.studies.files import scene_copy, scene_table, settings_text, stated_settings
 from pixsim.studies.merit import detail_terms, extent, run_neq
 from pixsim.studies.run import RunResult, Threshold
 from pixsim.studies.table import ROWS_FILE, Store
@@ -83,6 +84,7 @@ from pixsim.viewer.raw_metrics import DETECTABILITY, SNR10_LX, contrast_factor
 from pixsim.viewer.requirements import RequirementCheck
 from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import stage_words
+from pixsim.viewer.settings_file import scene_options
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
@@ -273,7 +275,7 @@ def run_page(
             "ideal.png": light_png(score.ideal),
             "image.png": light_png(score.image),
             "delta_e.png": delta_e,
-            SETTINGS_FILE: run_settings_text(result.prepared, irradiance),
+            SETTINGS_FILE: partial(run_settings_text, result.prepared, irradiance),
             ROWS_FILE: _run_csv(result),
             **scene_copy(result.prepared.file),
         },
@@ -353,7 +355,7 @@ def data(result: RunResult) -> dict[str, Any]:
     case = {"at": {}, "sensor": result.prepared.cases[0].sensor, "values": plain(values)}
     return result_data(
         content,
-        settings=settings.model_dump(mode="json", exclude_none=True),
+        settings=stated_settings(settings),
         notes=notes(result),
         cases=[case],
         table=ROWS_FILE,
@@ -744,7 +746,7 @@ def _settings(result: RunResult) -> list[DocumentTable]:
     settings = result.settings
     irradiance = result.irradiance
     light = LightLevel.of(irradiance, settings.display, [result.score.frame.integration_s])
-    scene = scene_rows(irradiance, settings.scene, light)
+    scene = scene_rows(irradiance, settings.scene.parameters, light)
     scene.append(
         ("seed", settings.seed, "of all random numbers", "set" if settings.seed else "default")
     )
@@ -765,8 +767,13 @@ def _raw_stem(number: int) -> str:
     return "raw" if number == 1 else f"raw_{number:03d}"
 
 
-def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
-    """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
+def run_settings_text(
+    prepared: Job[Run], irradiance: SpectralImage, folder: Path | None = None
+) -> str:
+    """Return the text of settings.toml, from which `pixsim run` makes the same numbers again.
+
+    folder : of the file, from which paths in it begin; None states whole paths
+    """
     imaging = prepared.cases[0].imaging
     assert imaging is not None
     options = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
@@ -775,38 +782,20 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
         for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames))
         if value > 1
     }
-    command = [
-        "pixsim",
-        "run",
-        _absolute_source(prepared),
-        "--config",
-        SETTINGS_FILE,
-        *["--full"] * imaging.without_shortcuts,
-    ]
+    command = ["pixsim", "run", "--config", SETTINGS_FILE, *["--full"] * imaging.without_shortcuts]
     command += [word for name, value in options.items() if value for word in (f"--{name}", value)]
-    return settings_text(_settings_to_repeat(prepared, irradiance), shlex.join(command))
-
-
-def _settings_to_repeat(job: Job[Run], irradiance: SpectralImage) -> Run:
-    """Return the settings with which `pixsim run` makes the same numbers again.
-
-    irradiance : of this run
-    """
-    if job.cases[0].picture:
-        return job.complete
-    # Display and chart, too, may have been chosen; defaults in their place would count as given.
-    view = {
-        "display": job.complete.display,
-        "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene),
-    }
-    return repeatable_settings(job.stated, irradiance).model_copy(update=view)
-
-
-def _absolute_source(job: Job[Run]) -> str:
-    """Return the scene or picture of a run, for a command in another folder."""
-    if job.cases[0].picture:
-        return str(Path(job.file).resolve())
-    return scene_to_repeat(job.file)
+    settings = prepared.complete
+    parameters: dict[str, Any] = {}
+    if not prepared.cases[0].picture:
+        # Display and chart, too, may have been chosen; defaults in their place would count as
+        # given.
+        settings = repeatable_settings(prepared.stated, irradiance).model_copy(
+            update={"display": settings.display}
+        )
+        scene_folder = prepared.cases[0].scene.path.parent
+        parameters = scene_table(scene_folder, prepared.complete.scene.parameters, folder)
+    scene = scene_options(prepared.file, parameters)
+    return settings_text(settings, shlex.join(command), folder=folder, scene=scene)
 
 
 PRESENTER = Presenter(

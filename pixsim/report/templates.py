@@ -77,7 +77,7 @@ _EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "relative_illumination": [[0.0, 1.0], [1.0, 0.9], [2.0, 0.7]],
     "vignetting_factors": "use",
     "parameters": {"resolution": 512},
-    "scene": {"resolution": 512},
+    "scene.file": "csf",
     "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
     "sources": {"pixel.bits": "data sheet, page 3"},
@@ -229,6 +229,9 @@ def json_schema(kind: str) -> dict[str, Any]:
             "propertyNames": {"enum": list(MAY_BE_UNCERTAIN)},
             "additionalProperties": {"$ref": "#/$defs/Spread"},
         }
+        # parameters may stand in [scene] itself
+        scene = schema["$defs"]["RunScene"]
+        scene["additionalProperties"] = scene["properties"]["parameters"]["additionalProperties"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from pixsim.base.records import NumberOrText, Record
+from pixsim.viewer.setting import RunScene
 
 
-class StudyScene(Record):
+class StudyScene(RunScene):
     """The scene of a study."""
 
     file: str = Field("csf", description="XML file or name of a packaged scene")
-    parameters: dict[str, NumberOrText] = Field(
-        default_factory=dict, description="values of the scene's <default> parameters"
-    )

@@ -234,7 +234,8 @@ class Document(_DocumentRecord):
     about : what a page says of them to those who read such a page for the first time
     sections : of the page; of those that are brief, a terminal and a notebook have the blocks
     terminal : what a terminal shows in place of all that
-    files : name -> content of further files
+    files : name -> content of further files, or a function that returns it for the folder in which
+        the document will be
     writers : write others to a folder, side by side: arrays that are in no file's form in memory
     parts : folder -> further document, published together with this one
     data_file, figures : names of the file of `data`, and of the folder of the figures
@@ -249,7 +250,7 @@ class Document(_DocumentRecord):
     lead: Iterable[Block] = ()
     about: Iterable[Block] = ()
     sections: Iterable[Section] = ()
-    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    files: Mapping[str, str | bytes | Callable[[Path], str]] = field(default_factory=dict)
     writers: Iterable[Callable[[Path], object]] = ()
     parts: Mapping[str, Document] = field(default_factory=dict)
     data_file: str = "summary.json"

@@ -229,27 +229,31 @@ def write(
     did not write.
     """
     with output_folder(folder) as path, publishing(path, provenance) as unfinished:
-        _write_files(document, unfinished, figures)
+        _write_files(document, unfinished, path, figures)
     return Path(folder) / PAGE
 
 
-def _write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
-    """Write all files of a document but their list to a new folder."""
+def _write_files(document: Document, folder: Path, target: Path, figures: Figures) -> None:
+    """Write all files of a document but their list to a new folder.
+
+    target : folder to which they go from there
+    """
     with ThreadPoolExecutor(2) as pool:
         writes = [pool.submit(write_content, folder) for write_content in document.writers]
 
-        contents: dict[str, str | bytes] = {}
+        contents: dict[str, str | bytes | Callable[[Path], str]] = {}
         for plot in document.plots:
-            for name, content in plot.drawn_as(figures).files.items():
-                contents[f"{document.figures}/{name}"] = content
+            for name, drawn in plot.drawn_as(figures).files.items():
+                contents[f"{document.figures}/{name}"] = drawn
         contents |= {**document.files, PAGE: html(document)}
         for name, content in contents.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content if isinstance(content, bytes) else content.encode())
+            made = content((target / name).parent) if callable(content) else content
+            path.write_bytes(made if isinstance(made, bytes) else made.encode())
 
         write_json(folder / document.data_file, document.data)
         for write_result in writes:
             write_result.result()
     for name, part in document.parts.items():
-        _write_files(part, folder / name, figures)
+        _write_files(part, folder / name, target / name, figures)

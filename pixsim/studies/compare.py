@@ -33,14 +33,13 @@ from pixsim.base.result import Result
 from pixsim.base.schema import KEY, check_not_newer
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import SpectralImage
-from pixsim.scene.guard.dictionary import scene_and_parameters
 from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import Case, check_number, named, warn_of_reviews
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import RenderedCase, check_ideals, evaluate_points, rendered_cases
-from pixsim.studies.files import tables_of_python
+from pixsim.studies.files import scene_of_python, tables_of_python
 from pixsim.studies.film_error import cached_film_steps
 from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import Pairs
@@ -426,11 +425,8 @@ def compare(
     (['0.35um', '4t-bsi'], True)
     """
     check_supported("comparison", light=light, without=without)
-    file = None
-    if scene is not None:
-        file, parameters = scene_and_parameters(scene, parameters)
     options = tables_of_python(settings, metrics)
-    options |= {"scene": dict(parameters)} if parameters else {}
+    options |= {"scene": table} if (table := scene_of_python(scene, parameters)) else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
     options |= {
         name: list(tables) for name, tables in (("axis", axis), ("condition", condition)) if tables
@@ -438,7 +434,6 @@ def compare(
     with collected_notes():  # the preparation warns, too
         job = prepare(
             files,
-            file,
             study=study,
             match=match,
             repeats=repeats,

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
 from pixsim.optics.camera import Camera
 from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
 from pixsim.scene.guard.dictionary import SCENE_FILE, is_written, scene_and_parameters, stated_file
-from pixsim.scene.guard.files import ASSETS
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
 from pixsim.studies.settings import (
@@ -35,7 +35,15 @@ from pixsim.viewer.develop_options import as_tone_curve
 from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.metric_registry import metric_names
 from pixsim.viewer.score import Score
-from pixsim.viewer.settings_file import resolve_files, settings_layer, settings_path
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import (
+    ASSETS,
+    FILES as SETTINGS_FILES,
+    resolve_files,
+    scene_options,
+    settings_layer,
+    settings_path,
+)
 
 # Settings that name files whose values can stand in their place.
 _FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
@@ -52,6 +60,7 @@ FILES = (
     ("scene", "file"),
     ("lens", "file"),
     ("scene", "parameters", "chart"),
+    ("scene", "parameters", ASSETS),
     ("pixel", "technology"),
     _WITHOUT_TARGET,
     *_FILES_OF_VALUES,
@@ -59,18 +68,24 @@ FILES = (
 
 
 def settings_text(
-    record: Record, command: str, uncertainty: Uncertainty | None = None, **changes: object
+    record: Record,
+    command: str,
+    uncertainty: Uncertainty | None = None,
+    folder: Path | None = None,
+    **changes: object,
 ) -> str:
     """Return a TOML file of all settings of a result, from which a command makes the same numbers
     again, bit for bit.
 
     command : makes them, in the file's folder
     uncertainty : of `spreads_of_study`
+    folder : of the file, from which paths in it begin; None states whole paths
     changes : tables and fields in place of the record's
 
-    Values stand in it, not files; a technology or a scene with a file of its own is named by its
-    whole path.
+    Values stand in it, not files; a scene, a lens or a technology with a file of its own is named
+    by its path.
     """
+    path_of = partial(whole_path, start=folder)
     table = record.model_dump(mode="json", exclude_none=True) | changes
     for name, spreads in (uncertainty or {}).items():
         pixel = table.get("sensors", {}).get(name) if name else table.get("pixel")
@@ -88,19 +103,22 @@ def settings_text(
     if isinstance(
         background := table.get("metric", {}).get("detectability", {}).get("without"), str
     ):
-        table["metric"]["detectability"]["without"] = whole_path(background)
+        table["metric"]["detectability"]["without"] = path_of(background)
+    scene = table.get("scene", {})
+    if (file := scene.get("file")) and file not in packaged_scenes():
+        scene["file"] = SCENE_FILE if is_written(file) else path_of(file)
     if "file" in table.get("lens", {}):
-        table["lens"]["file"] = whole_path(table["lens"]["file"])
+        table["lens"]["file"] = path_of(table["lens"]["file"])
         if catalogues := table["lens"].get("glass_catalogues"):
-            table["lens"]["glass_catalogues"] = [whole_path(name) for name in catalogues]
+            table["lens"]["glass_catalogues"] = [path_of(name) for name in catalogues]
     if "technologies" in table:
-        table["technologies"] = [whole_path(name) for name in table["technologies"]]
+        table["technologies"] = [path_of(name) for name in table["technologies"]]
     for by_name in ("process", "sensors"):
         if by_name in table:
-            table[by_name] = {whole_path(name): values for name, values in table[by_name].items()}
+            table[by_name] = {path_of(name): values for name, values in table[by_name].items()}
     for pixel in (table.get("pixel", {}), *table.get("sensors", {}).values()):
         if "technology" in pixel:
-            pixel["technology"] = whole_path(pixel["technology"])
+            pixel["technology"] = path_of(pixel["technology"])
     return settings_table_text(table, command)
 
 
@@ -145,14 +163,6 @@ def _without_files_of_axis(axis: dict[str, Any]) -> dict[str, Any]:
     return axis | ({"values": resolved_values} if resolved_values else {})
 
 
-def scene_to_repeat(file: str) -> str:
-    """Return a scene as the settings of a result name it: the copy of a dictionary beside them, the
-    name of a packaged scene, or a whole path.
-    """
-    is_beside = is_written(file) or file in packaged_scenes()
-    return stated_file(file) if is_beside else whole_path(file)
-
-
 def scene_copy(file: str) -> dict[str, str]:
     """Return the file that a result has of a scene that was a dictionary, as name -> text; empty
     for other scenes.
@@ -160,20 +170,45 @@ def scene_copy(file: str) -> dict[str, str]:
     return {SCENE_FILE: Path(file).read_text(encoding="ascii")} if is_written(file) else {}
 
 
-def scene_table(folder: Path, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def stated_settings(settings: Run) -> dict[str, Any]:
+    """Return the settings of a run as results state them: a scene that was a dictionary by the name
+    of its copy beside them.
+    """
+    tables = settings.model_dump(mode="json", exclude_none=True)
+    if settings.scene.file is not None:
+        tables["scene"]["file"] = stated_file(settings.scene.file)
+    return tables
+
+
+def scene_of_python(
+    scene: str | os.PathLike[str] | Mapping[str, Any] | None, parameters: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Return the table of a scene that is given in Python, without what is not stated."""
+    if scene is None:
+        return scene_options(None, parameters)
+    return scene_options(*scene_and_parameters(scene, parameters))
+
+
+def scene_table(
+    folder: Path, parameters: Mapping[str, Any], settings_folder: Path | None = None
+) -> dict[str, Any]:
     """Return the parameters of a scene for a settings file: numbers as such, and files and the
-    folder `assets` of the working directory by their whole paths.
+    folder `assets` of the working directory by their paths.
 
     folder : of the scene, in which its own files lie
+    settings_folder : of the settings file, from which paths begin that it resolves; None states
+        whole paths
     """
-    table = {name: _scene_value(folder, value) for name, value in parameters.items()}
-    assets = table.get(ASSETS)
-    if isinstance(assets, str) and not (folder / assets).is_dir():
-        table[ASSETS] = str(Path(assets).resolve())
+    table: dict[str, Any] = {}
+    for name, value in parameters.items():
+        is_resolved = ("scene", "parameters", name) in SETTINGS_FILES
+        start = settings_folder if is_resolved else None
+        path_of = partial(whole_path, start=start, is_folder=name == ASSETS)
+        table[name] = _scene_value(folder, value, path_of)
     return table
 
 
-def _scene_value(folder: Path, value: object) -> object:
+def _scene_value(folder: Path, value: object, path_of: Callable[[str], str]) -> object:
     if not isinstance(value, str):
         return value
     for kind in (int, float):
@@ -182,7 +217,8 @@ def _scene_value(folder: Path, value: object) -> object:
                 return kind(value)
         except ValueError:
             pass  # not a number of this kind
-    return value if not value or (folder / value).exists() else whole_path(value)
+    is_of_scene = not os.path.isabs(value) and (folder / value).exists()
+    return value if not value or is_of_scene else path_of(value)
 
 
 QUICK_REPEATS = 4
@@ -381,12 +417,7 @@ def load_study(
         2.0}, window_mm=1.0
     """
     options = tables_of_python(settings)
-    scene_settings: dict[str, Any] = {}
-    if scene is not None:
-        scene_settings["file"], parameters = scene_and_parameters(scene, parameters)
-    if parameters:
-        scene_settings["parameters"] = dict(parameters)
-    if scene or parameters:
+    if scene_settings := scene_of_python(scene, parameters):
         options["scene"] = scene_settings
     if pixel:
         options["pixel"] = dict(pixel)

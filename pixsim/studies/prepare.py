@@ -34,6 +34,7 @@ from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.optics.exchange import camera_of_light, read_with_camera
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.scene import Scene, load_scene
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import MAX_PIXELS, check_pixel_count, pixels_along, pixels_on
@@ -455,11 +456,8 @@ def with_view(settings: _ChosenSettings, view: Mapping[str, Any]) -> _ChosenSett
     if "dots" in view and "dots" not in display.model_fields_set:
         display = display.model_copy(update={"dots": view["dots"]})
     if MAX_LP_PER_MM in view:
-        chart = {MAX_LP_PER_MM: view[MAX_LP_PER_MM]}
-        if isinstance(scene, dict):
-            scene = chart | scene
-        elif isinstance(scene, StudyScene):
-            scene = scene.model_copy(update={"parameters": chart | scene.parameters})
+        parameters = {MAX_LP_PER_MM: view[MAX_LP_PER_MM]} | scene.parameters
+        scene = scene.model_copy(update={"parameters": parameters})
     return settings.model_copy(update={"display": display, "scene": scene})
 
 
@@ -665,6 +663,15 @@ def check_pitches(study: Study) -> None:
             f"at least {first}, with which the study starts",
             "Raise it, or lower repeats or pitch.count.",
         )
+
+
+def file_of_scene(settings: Run) -> str:
+    """Return the file of the scene of a run. Raises PixsimError if none is stated."""
+    if settings.scene.file is None:
+        names = ", ".join(packaged_scenes())
+        allowed = f"an XML file, one of {names}, or a settings file whose [scene] has a file"
+        raise invalid("scene", "none", allowed)
+    return settings.scene.file
 
 
 def is_picture(file: str) -> bool:

@@ -28,7 +28,7 @@ from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import camera_of_light, read_with_camera
-from pixsim.scene.guard.dictionary import scene_and_parameters, stated_file
+from pixsim.scene.guard.dictionary import stated_file
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import collecting_area_um2
@@ -38,12 +38,14 @@ from pixsim.sensor.readout import Frame
 from pixsim.studies.design import Case, metrics_of, warn_of_reviews
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import FirstFrame, RenderedCase, evaluate_points
+from pixsim.studies.files import scene_of_python
 from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
 from pixsim.studies.prepare import (
     Job,
     choose_view,
+    file_of_scene,
     is_picture,
     loaded_scene,
     scene_with_view,
@@ -129,7 +131,7 @@ def _start_value(settings: Run, source: Scene | object) -> float | None:
             f"'{name}' for a picture from another program",
             "a parameter of a scene that pixsim renders",
         )
-    stated = settings.scene.get(name, source.text().defaults.get(name))
+    stated = settings.scene.parameters.get(name, source.text().defaults.get(name))
     try:
         start = float(stated) if stated is not None else math.nan
     except ValueError:
@@ -188,7 +190,7 @@ def _threshold_of(
 
     def excess(shift: float) -> float:
         """Return log(d′ / threshold) at log(value / first value) = `shift`."""
-        parameters = settings.scene | {name: start * math.exp(shift)}
+        parameters = settings.scene.parameters | {name: start * math.exp(shift)}
         scene = scene_with_view(load(parameters=parameters), job.view).with_resolution(film_width)
         rendered = request.render(scene, request.plan_of(scene))
         if progress:
@@ -326,9 +328,9 @@ LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
 
 def prepare(
-    source: str | SpectralImage,
     settings: Run,
     *,
+    light: SpectralImage | None = None,
     full: bool = False,
     repeats: int = 1,
     frames: int = 1,
@@ -339,7 +341,8 @@ def prepare(
 ) -> Job[Run]:
     """Choose what a run leaves open, and check everything that can be checked before a render.
 
-    source : scene, picture of another program, or light in memory, which has the name `LIGHT_FILE`
+    settings : with the file of the scene, or of a picture of another program
+    light : in memory, in place of them; it has the name `LIGHT_FILE`
     full : simulate every effect, also those that the plan finds too small to matter
     repeats, frames : number of sensors of the kind, and of frames of the first one
     sensor, variant, units : of the scene, and of the picture
@@ -355,28 +358,26 @@ def prepare(
         raise invalid(setting("repeats"), repeats, f"1 to {_MAX_REPEATS} sensors")
     scene: Scene | None = None
     picture: SpectralImage | None = None
-    if isinstance(source, SpectralImage):
-        picture = source
-        whole = camera_of_light(source, settings.camera, settings.lens)
-        file = LIGHT_FILE
-    elif is_picture(source):
-        _check_scene_options(source, settings, sensor, variant)
-        picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
-        file = source
+    file = LIGHT_FILE if light is not None else file_of_scene(settings)
+    if light is not None:
+        picture = light
+        whole = camera_of_light(light, settings.camera, settings.lens)
+    elif is_picture(file):
+        _check_scene_options(file, settings, sensor, variant)
+        picture, whole = read_with_camera(file, settings.camera, units, settings.lens)
     else:
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
-            raise invalid(setting("units"), f"'{source}', a scene", allowed)
+            raise invalid(setting("units"), f"'{file}', a scene", allowed)
         scene = loaded_scene(
-            source,
-            settings.scene,
+            file,
+            settings.scene.parameters,
             settings.resolution,
             settings.display,
             variant=variant,
             sensor=sensor,
         )
         whole = scene.camera(settings.camera, settings.lens)
-        file = source
         if scene.shows_target and "metrics" not in settings.model_fields_set:
             settings = settings.model_copy(update={"metrics": _METRICS_OF_TARGET})
         warn_of_default_sensor(scene, [settings.camera], settings.pixel)
@@ -418,7 +419,7 @@ def prepare(
 
 def _check_scene_options(file: str, settings: Run, sensor: str | None, variant: str | None) -> None:
     """Raise PixsimError for settings that only a scene has, beside a picture."""
-    values = {"-D ([scene])": settings.scene, "--sensor": sensor, "--variant": variant}
+    values = {"-D ([scene])": settings.scene.parameters, "--sensor": sensor, "--variant": variant}
     for name in ("tolerance_delta_e", "resolution", "window_mm"):
         option = name.removesuffix("_mm").replace("_", "-")
         values[f"--{option} ({name})"] = getattr(settings, name)
@@ -640,7 +641,7 @@ class RunResult(RenderedRun, Result):
 
 
 def run(
-    scene: str | os.PathLike[str] | Mapping[str, Any],
+    scene: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     *,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
@@ -659,9 +660,10 @@ def run(
     as `pixsim run` does.
 
     scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene; or a
-        spectral image of another program (.exr, .npz, .hdr)
-    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
-        precedence
+        spectral image of another program (.exr, .npz, .hdr). None takes that of `config`; a scene
+        drops the parameters of one there
+    config : one or more TOML files with a sensor, its camera, exposure and display, and a scene, as
+        settings.toml of a run; later ones take precedence
     parameters : of the scene, each in its unit
     pixel : fields of the pixel (`PixelOptions`), each in its unit, which override the fields of the
         files
@@ -687,15 +689,12 @@ def run(
     """
     if metrics:
         settings["metrics"] = metric_names(metrics)
-    file, parameters = scene_and_parameters(scene, parameters)
+    settings["scene"] = scene_of_python(scene, parameters)
     with collected_notes():  # also those of the preparation
-        overrides = {
-            name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table
-        }
-        run_setting = run_settings(config, settings | overrides)
+        if pixel:
+            settings["pixel"] = pixel
         prepared = prepare(
-            file,
-            run_setting,
+            run_settings(config, settings),
             full=full,
             repeats=repeats,
             frames=frames,

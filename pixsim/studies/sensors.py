@@ -21,7 +21,6 @@ from pixsim.base.toml import packaged
 from pixsim.optics.camera import DIE_FIELDS, Camera, CameraOptions
 from pixsim.optics.camera_lens import lens_on_die
 from pixsim.scene.charts import MAX_LP_PER_MM
-from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.motion import border_with_motion_um
@@ -69,7 +68,7 @@ from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.merging import merge
+from pixsim.viewer.merging import merge, of_last_scene
 from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 from pixsim.viewer.without_effect import (
@@ -91,7 +90,8 @@ SENSOR_TABLES = ("camera", "lens", "pixel", "exposure")
 # A study gives a comparison its scene, the settings of all sensors, and a lens for files that state
 # none. Its pixels, technologies and pixel sizes are not used.
 _STUDY_TABLES = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
-SHARED = [name for name in _STUDY_TABLES if name not in ("scene", "camera", "lens", "pixel")]
+_SHARED = [name for name in _STUDY_TABLES if name not in ("camera", "lens", "pixel")]
+_DEFAULT_SCENE = "csf"
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own
 # Significant digits of a chart's frequency on another sensor, so that settings.toml repeats it
 # exactly.
@@ -215,10 +215,8 @@ class _SharedSettings:
 
     plan : study with the axes and conditions, or None without
     lens : [camera] and [lens] for files that state none of it
-    layers : of the study and of files; each takes precedence over the one before it, and over a
-        sensor's own file
-    options : over these layers
-    scene : file, or name of a packaged scene
+    layers : of the study, of files and of options; each takes precedence over the one before it,
+        and over a sensor's own file
     source : file of the study, for messages
     unused : dotted names of settings that only a study takes
     """
@@ -226,14 +224,12 @@ class _SharedSettings:
     plan: Study | None
     lens: Layer
     layers: tuple[Layer, ...]
-    options: dict[str, Any]
-    scene: str
     source: str
     unused: tuple[str, ...]
 
     def run_of(self, sensor_table: Layer, overrides: Layer | None = None) -> Run:
         """Return the complete settings of a sensor. Raises PixsimError that lists every problem."""
-        layers = [self.lens, sensor_table, *self.layers, Layer(self.options)]
+        layers = of_last_scene([self.lens, sensor_table, *self.layers])
         if overrides is not None:
             layers.append(overrides)
         run: Run = checked(Run, layers)
@@ -285,21 +281,10 @@ def check_files(files: Sequence[str]) -> None:
             raise invalid("sensors", f"'{files[number]}' twice", "different files", hint)
 
 
-def _as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Return named tables of a study or of a condition as tables of `Run`, whose [scene] has the
-    parameters of the scene.
-    """
-    tables = {name: table[name] for name in names if name in table and name != "scene"}
-    if "parameters" in table.get("scene", {}):
-        tables["scene"] = table["scene"]["parameters"]
-    return tables
-
-
 def _warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
-    """Warn of options, as tables of `Run`, that every condition of a study overrides."""
+    """Warn of options that every condition of a study overrides."""
     for path in paths_of(options):
-        in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
-        if owner := owner_of(study, in_study):
+        if owner := owner_of(study, path):
             warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
 
 
@@ -323,14 +308,7 @@ def _overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
             other_settings = "settings that leave each sensor its own pixel size"
             raise invalid(where, f"set.pixel.{name}", other_settings)
 
-    scene = table.get("scene", {})
-    scene_settings = "set.scene.file, set.scene.parameters.<name>"
-    if not isinstance(scene, Mapping):
-        raise invalid(where, f"set.scene = {scene!r}", scene_settings)
-    for name in scene:
-        if name not in StudyScene.model_fields:
-            raise invalid(where, f"set.scene.{name}", scene_settings)
-    return Layer(_as_run(table, allowed), where)
+    return Layer(dict(table), where)
 
 
 def _table_of(tables: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -345,7 +323,6 @@ class _CaseOverrides:
 
     weight : share of the condition; 1 without conditions
     layer : the settings, which take precedence over those of all cases; None if there are none
-    scene : file of the scene, if axes or condition set it; else empty
     at, alone, condition, labels : of the case, as in `Case`
     words : values of axes and condition, for messages
     sensors : of a comparison, with these settings
@@ -353,7 +330,6 @@ class _CaseOverrides:
 
     weight: float = 1.0
     layer: Layer | None = None
-    scene: str = ""
     at: dict[str, Label] = field(default_factory=dict)
     alone: str = ""
     condition: str = ""
@@ -415,13 +391,7 @@ def case_overrides(plan: Study | None, source: str = "") -> list[list[_CaseOverr
                 layer = _overrides_layer(settings, ": ".join(filter(None, (source, words))))
             conditions.append(
                 _CaseOverrides(
-                    weight=weight,
-                    layer=layer,
-                    scene=str(settings.get("scene", {}).get("file", "")),
-                    at=at,
-                    alone=alone,
-                    condition=name,
-                    words=words,
+                    weight=weight, layer=layer, at=at, alone=alone, condition=name, words=words
                 )
             )
         combined.append(conditions)
@@ -437,13 +407,8 @@ def _overrides_with_sensors(
         complete = []
         for condition in conditions:
             sensors = _read_sensors(files, shared, condition.layer)
-            complete.append(
-                replace(
-                    condition,
-                    scene=condition.scene or shared.scene,
-                    sensors=tuple(condition.labelled(sensor) for sensor in sensors),
-                )
-            )
+            labelled = tuple(condition.labelled(sensor) for sensor in sensors)
+            complete.append(replace(condition, sensors=labelled))
         combined.append(complete)
     return combined
 
@@ -524,10 +489,11 @@ def _group_of(
     """
     sensors = [overrides.sensors[number] for number in numbers]
     settings = sensors[0].settings
-    _check_display_and_scene(settings.display, overrides.scene)
+    file = _scene_file(settings)
+    _check_display_and_scene(settings.display, file)
     scene = loaded_scene(
-        overrides.scene,
-        settings.scene,
+        file,
+        settings.scene.parameters,
         settings.resolution,
         settings.display,
         variant=variant,
@@ -563,12 +529,17 @@ def _group_of(
         cases=tuple(replace(case, further_displays=further) for case in complete),
         weight=overrides.weight,
         match=match,
-        scene=overrides.scene,
+        scene=file,
         finest=finest.sensor,
         border=border,
         view=view,
     )
     return replace(group, film_width=max(light_request(case).shape[1] for case in group.cases))
+
+
+def _scene_file(settings: Run) -> str:
+    """Return the scene of a comparison whose first sensor has these settings."""
+    return settings.scene.file or _DEFAULT_SCENE
 
 
 def _check_display_and_scene(display: Display, scene: str) -> None:
@@ -630,7 +601,7 @@ def _with_common_settings(
     The chart on each die has the detail of the first one's, in the same field of view.
     """
     first_camera = cases[0].camera
-    highest = settings.scene.get(MAX_LP_PER_MM, scene.parameters.get(MAX_LP_PER_MM))
+    highest = settings.scene.parameters.get(MAX_LP_PER_MM, scene.parameters.get(MAX_LP_PER_MM))
     complete = []
     for case in cases:
         camera = case.camera
@@ -758,7 +729,6 @@ class ComparisonJob(Job[Run]):
 
 def prepare(
     files: Sequence[str | os.PathLike[str]],
-    scene: str | os.PathLike[str] | None = None,
     *,
     study: Study | str | os.PathLike[str] | None = None,
     match: Match | None = None,
@@ -793,7 +763,7 @@ def prepare(
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
 
-    shared = _shared_settings(scene, study, config, options or {}, smaller_than_um, quick)
+    shared = _shared_settings(study, config, options or {}, smaller_than_um, quick)
     base = _read_sensors(sources, shared)
     combined = _overrides_with_sensors(sources, shared)
 
@@ -833,7 +803,7 @@ def prepare(
         cases=tuple(case for group in labelled for case in group.cases),
         stated=base[0].settings,
         complete=groups[0].first.settings,
-        file=shared.scene,
+        file=_scene_file(base[0].settings),
         source=groups[0].first.source,
         view=groups[0].view,
         sensor=sensor,
@@ -847,7 +817,6 @@ def prepare(
 
 
 def _shared_settings(
-    scene: str | os.PathLike[str] | None,
     study: Study | str | os.PathLike[str] | None,
     config: Sequence[str | os.PathLike[str]],
     options: dict[str, Any],
@@ -858,36 +827,29 @@ def _shared_settings(
 
     Raises PixsimError for what a comparison does not have.
     """
-    parts = [parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options)))]
-    *layers, option_layer = [run_layer for run_layer, _ in parts]
+    parts = [parts_of_study(layer) for layer in (*config_layers(config), Layer(options))]
+    layers = [run_layer for run_layer, _ in parts]
     study_layers = [study_layer for _, study_layer in parts if study_layer.table]
     check_supported(
         "comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper")
     )
 
-    file = "csf" if scene is None else str(scene)
     plan: Study | None = None
     lens = Layer({})
     source = ""
     if study is not None or study_layers:
-        stated = study_of(
-            study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick
-        )
+        stated = study_of(study or Study.model_validate({"name": "comparison"}), quick)
         plan = with_range_ends(checked_study([stated, *study_layers]))
         source = stated.source
-        if scene is not None:
-            tables = {name: value for name, value in stated.table.items() if name != "scene"}
-            stated = Layer(tables, source)
-            plan = plan.model_copy(update={"scene": StudyScene(file=file)})
-        _warn_of_overridden(plan, option_layer.table)
-        file = plan.scene.file
-        layers = [Layer(_as_run(stated.table, SHARED), source), *layers]
+        _warn_of_overridden(plan, layers[-1].table)
+        tables = {name: stated.table[name] for name in _SHARED if name in stated.table}
+        layers.insert(0, Layer(tables, source))
         lens = _lens_layer(stated)
     if study is None and plan is not None and not plan.has_cases and plan.detail is None:
         plan = None  # nothing of it holds for a comparison
 
     unused = tuple(unused_settings(study_layers, IGNORED_ELSEWHERE))
-    return _SharedSettings(plan, lens, tuple(layers), option_layer.table, file, source, unused)
+    return _SharedSettings(plan, lens, tuple(layers), source, unused)
 
 
 def _lens_layer(study: Layer) -> Layer:

@@ -51,7 +51,7 @@ from pixsim.sensor.pixel_options import (
 )
 from pixsim.sensor.quantities import Pitch
 from pixsim.viewer.develop_options import check_develop
-from pixsim.viewer.merging import merge, merged
+from pixsim.viewer.merging import merge, merged, of_last_scene
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
@@ -881,21 +881,12 @@ def check_supported(command: str, **settings: object) -> None:
 
 
 def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
-    """Split a layer into the tables that a run has, too, and the tables that only a study has.
-
-    The scene of a run has parameters alone; the file of the scene belongs to the study.
-    """
+    """Split a layer into the tables that a run has, too, and the tables that only a study has."""
     study_table: dict[str, Any] = {}
     run_table: dict[str, Any] = {}
     for name, value in layer.table.items():
         table = study_table if name in _STUDY_ONLY else run_table
         table[name] = value
-
-    scene = run_table.get("scene")
-    if study_table and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
-        if "file" in scene:
-            study_table["scene"] = {"file": scene["file"]}
-        run_table["scene"] = scene.get("parameters", {})
     run_layer = Layer(run_table, layer.source, layer.named)
     study_layer = Layer(study_table, layer.source, layer.named)
     return run_layer, study_layer
@@ -936,10 +927,11 @@ def study_layers(
     layers = [first, *others]
     for layer in files:
         if layer in sensors:
-            layer = Layer(_as_study_table(layer.table), layer.source)
+            layer = Layer(_without_sensor_only(layer.table), layer.source)
         layers.append(layer)
     source = sensors[-1].source if sensors else ""
     layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
+    layers[len(studies) :] = of_last_scene(layers[len(studies) :])
 
     # From the last layer to the first, so that what is void in a later layer makes nothing void
     # before it.
@@ -1136,17 +1128,6 @@ def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
         if isinstance(values, dict):
             settings[name] = {key: value for key, value in values.items() if key not in removed}
     return settings
-
-
-def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the table of a sensor's file as a table of a study, with [scene] as
-    scene.parameters.
-    """
-    scene = table.get("scene")
-    table = _without_sensor_only(table)
-    if not isinstance(scene, dict):
-        return table
-    return table | {"scene": {"parameters": scene}}
 
 
 def with_axes(

@@ -59,7 +59,6 @@ from pixsim.studies.evaluate import (
 from pixsim.studies.files import (
     load_study,
     scene_table,
-    scene_to_repeat,
     settings_text,
     spreads_of_study,
     tables_of_python,
@@ -93,6 +92,7 @@ from pixsim.viewer.merging import merge
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import allows_float32, warn_of_clipping
+from pixsim.viewer.settings_file import scene_options
 
 if TYPE_CHECKING:
     from pixsim.sensor.spread import Uncertainty
@@ -128,10 +128,7 @@ def _repeated_settings(
 
     scene = job.source
     settings = repeatable_settings(job.complete, image)
-    scene_tables = {
-        "file": scene_to_repeat(settings.scene.file),
-        "parameters": scene_table(scene.path.parent, settings.scene.parameters),
-    }
+    parameters = scene_table(scene.path.parent, settings.scene.parameters)
     camera = scene.camera(settings.camera, settings.lens).options.model_dump(exclude_none=True)
 
     # A study with both dots and distance has no further displays: one of them stays open if it was.
@@ -144,7 +141,7 @@ def _repeated_settings(
         settings,
         _repeating_command(job.variant, type_request),
         spreads_of_study(settings, spreads),
-        scene=scene_tables,
+        scene=scene_options(settings.scene.file, parameters),
         camera=camera,
         display=display,
     )

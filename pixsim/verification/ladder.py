@@ -18,10 +18,10 @@ from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.result import Result
 from pixsim.scene.film import fitting_width, largest_film
-from pixsim.scene.guard.dictionary import scene_and_parameters
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.studies.design import Case
+from pixsim.studies.files import scene_of_python
 from pixsim.studies.film_error import (
     chains_of_film,
     light_error_and_limit,
@@ -30,7 +30,7 @@ from pixsim.studies.film_error import (
     standard_noise_of,
 )
 from pixsim.studies.lights import LightRequest, light_request, rendered_light
-from pixsim.studies.prepare import loaded_scene, warn_of_default_sensor
+from pixsim.studies.prepare import file_of_scene, loaded_scene, warn_of_default_sensor
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.extreme_cases import all_cases
 from pixsim.viewer.imaging import Imaging
@@ -120,7 +120,7 @@ class Accuracy(Result):
 
 
 def accuracy(
-    scene: str | os.PathLike[str] | Mapping[str, Any],
+    scene: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     *,
     quick: bool = False,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
@@ -141,7 +141,8 @@ def accuracy(
     """Measure the error of a scene's mean ΔE against run time, and check numerical stability at
     extreme settings.
 
-    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene
+    scene : XML file, dictionary as `load_scene` takes it, or name of a packaged scene. None takes
+        that of `config`; a scene drops the parameters of one there
     quick : fewer films
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take
         precedence
@@ -159,7 +160,6 @@ def accuracy(
     >>> len(result.rungs), all(case.passed for case in result.cases)
     (2, True)
     """
-    file, parameters = scene_and_parameters(scene, parameters)
     tables = {
         "camera": camera,
         "lens": lens,
@@ -171,14 +171,14 @@ def accuracy(
         "correction": correction,
         "develop": develop,
         "display": display,
-        "scene": parameters,
+        "scene": scene_of_python(scene, parameters),
     }
     settings = run_settings(
         config,
         {name: value for name, value in (tables | {"seed": seed}).items() if value is not None},
     )
     return measure_accuracy(
-        file, settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage
+        settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage
     )
 
 
@@ -198,7 +198,6 @@ NOT_TAKEN = (
 
 
 def measure_accuracy(
-    source: str,
     settings: Run,
     *,
     quick: bool = False,
@@ -211,8 +210,8 @@ def measure_accuracy(
     """
     start = time.perf_counter()
     scene = loaded_scene(
-        source,
-        settings.scene,
+        file_of_scene(settings),
+        settings.scene.parameters,
         settings.resolution,
         settings.display,
         variant=variant,

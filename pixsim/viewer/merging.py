@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial, reduce
 from typing import Any
 
 from pixsim.base.layers import Layer, merge_tables
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import restated_by
 from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import replaced_by_lens
@@ -48,6 +50,30 @@ def _table_without(table: object, names: Iterable[str]) -> object:
     if not isinstance(table, dict):
         return table
     return {name: value for name, value in table.items() if name not in names}
+
+
+def of_last_scene(layers: Sequence[Layer]) -> list[Layer]:
+    """Return layers without the scenes that a later one replaces: parameters go with the file of
+    their scene.
+
+    Warns of parameters that go.
+    """
+    remaining: list[Layer] = []
+    is_replaced = False
+    for layer in reversed(layers):
+        stated = layer.table.get("scene")
+        scene: dict[str, Any] = stated if isinstance(stated, dict) else {}
+        names_scene = scene.get("file") is not None
+        if names_scene and is_replaced:
+            table = {name: value for name, value in layer.table.items() if name != "scene"}
+            if scene.get("parameters"):
+                reason = "SCENE, or a later file, states the scene"
+                name = f"{layer.source}: scene.parameters"
+                warn(Note("not_used", setting=name, reason=reason))
+            layer = replace(layer, table=table)
+        remaining.insert(0, layer)
+        is_replaced |= names_scene
+    return remaining
 
 
 def merged(layers: Iterable[Layer]) -> dict[str, Any]:

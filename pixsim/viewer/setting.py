@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from pixsim.base.layers import Layer
 from pixsim.base.problems import Words
@@ -82,16 +82,28 @@ class Effort(Record):
     )
 
 
+class RunScene(Record):
+    """The scene of a run."""
+
+    file: str | None = Field(
+        None,
+        description=(
+            "XML file or name of a packaged scene, or a spectral image from another program (.exr,"
+            " .npz, .hdr)"
+        ),
+    )
+    parameters: dict[str, NumberOrText] = Field(
+        default_factory=dict, description="values of the scene's <default> parameters"
+    )
+
+
 class Setting(Effort):
     """All that a frame depends on, for a run and a study alike; a study has the size of its pixel
     elsewhere.
     """
 
     seed: Seed = Field(0, description="seed of the render, the sensors and their noise")
-    scene: Record | dict[str, NumberOrText] = Field(
-        default_factory=dict,
-        description="scene; a run has its parameters here, and its file elsewhere",
-    )
+    scene: RunScene = Field(RunScene(), description="scene and its parameters")
     camera: CameraOptions = Field(CameraOptions(), description="camera; replaces that of the scene")
     lens: LensOptions = Field(
         LensOptions(),
@@ -161,10 +173,6 @@ def stage_words(setting: Setting) -> list[str]:
 class Run(Setting):
     """The options of `pixsim run`, as tables."""
 
-    scene: dict[str, NumberOrText] = Field(
-        default_factory=dict,
-        description="values of the scene's <default> parameters, as -D sets them",
-    )
     pixel: Annotated[Pixel, _PIXEL_WORDS] = Field(Pixel(), description="pixel of the sensor")
     require: tuple[RequirementText, ...] | None = Field(
         None,
@@ -173,21 +181,6 @@ class Run(Setting):
             " meets each"
         ),
     )
-
-    @field_validator("scene", mode="before")
-    @classmethod
-    def _parameters_stand_alone(cls, scene: object) -> object:
-        """A study's file has them in a table of their own, beside the scene's file; here they are
-        all that there is.
-        """
-        if isinstance(scene, dict) and (
-            tables := [name for name, value in scene.items() if isinstance(value, dict)]
-        ):
-            raise ValueError(
-                f"got a table, scene.{tables[0]}; allowed: numbers and texts. State parameters as"
-                " scene.lux = 500"
-            )
-        return scene
 
     @model_validator(mode="after")
     def _requires_its_metrics(self) -> Self:

@@ -15,9 +15,11 @@ from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import as_file_names
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import without_uncertainty
-from pixsim.viewer.setting import Run
+from pixsim.viewer.merging import of_last_scene
+from pixsim.viewer.setting import Run, RunScene
 
-# Settings that may name a file.
+ASSETS = "assets"  # the parameter of a scene that names a folder
+# Settings that may name a file, and one that names a folder.
 FILES = (
     *(
         ("pixel", "technology"),
@@ -27,7 +29,9 @@ FILES = (
     *(
         ("camera", "chief_ray_angle"),
         ("develop", "tone_curve"),
-        ("scene", "chart"),
+        ("scene", "file"),
+        ("scene", "parameters", "chart"),
+        ("scene", "parameters", ASSETS),
         ("metric", "detectability", "without"),
     ),
     *(("lens", "file"), ("lens", "veiling_glare"), ("lens", "relative_illumination")),
@@ -58,6 +62,8 @@ def settings_layer(file: str | os.PathLike[str]) -> Layer:
     """Read a settings file, or a packaged one by its name; paths in it are resolved by
     `resolve_file`.
 
+    Parameters of the scene may stand in [scene] itself, or in [scene.parameters].
+
     Its [pixel.uncertainty] is checked and left out, so that a pixel is plain numbers:
     `sheet_uncertainty` returns it.
     """
@@ -65,6 +71,8 @@ def settings_layer(file: str | os.PathLike[str]) -> Layer:
     table = read_toml(path)
     if isinstance(pixel := table.get("pixel"), dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
+    if isinstance(scene := table.get("scene"), dict):
+        table["scene"] = _with_nested_parameters(scene)
     resolve_files(table, path, FILES)
     lens = table.get("lens", {})
     if isinstance(lens, dict) and isinstance(
@@ -74,9 +82,19 @@ def settings_layer(file: str | os.PathLike[str]) -> Layer:
     return Layer(table, str(path))
 
 
+def _with_nested_parameters(scene: dict[str, Any]) -> dict[str, Any]:
+    """Return the table [scene] of a file with all parameters in a table of their own."""
+    nested = {name: value for name, value in scene.items() if name in RunScene.model_fields}
+    parameters = {name: value for name, value in scene.items() if name not in nested}
+    stated = nested.get("parameters", {})
+    if parameters and isinstance(stated, dict):
+        nested["parameters"] = parameters | stated
+    return nested
+
+
 def resolve_files(table: dict[str, Any], path: Path, files: Iterable[Sequence[str]]) -> None:
-    """Replace file names in a table of settings by their paths, for files that lie next to the
-    settings file.
+    """Replace names of files and of the scene's folder in a table of settings by their paths, if
+    they lie next to the settings file.
 
     files : paths of the settings that may name a file
     """
@@ -85,7 +103,7 @@ def resolve_files(table: dict[str, Any], path: Path, files: Iterable[Sequence[st
         for key in above:
             node = node.get(key) if isinstance(node, dict) else None
         if isinstance(node, dict) and name in node:
-            node[name] = resolve_file(path, node[name])
+            node[name] = resolve_file(path, node[name], is_folder=name == ASSETS)
 
 
 def run_settings(
@@ -98,8 +116,16 @@ def run_settings(
     options : tables and fields of `Run`
     """
     files = [settings_layer(path) for path in listed(config)]
-    settings: Run = checked(Run, [*files, Layer(plain_tables(options))])
+    settings: Run = checked(Run, of_last_scene([*files, Layer(plain_tables(options))]))
     return settings
+
+
+def scene_options(
+    file: str | os.PathLike[str] | None, parameters: Mapping[str, object] | None
+) -> dict[str, Any]:
+    """Return the table of a scene from Python or a command, without what is not stated."""
+    table: dict[str, Any] = {} if file is None else {"file": str(file)}
+    return table | ({"parameters": dict(parameters)} if parameters else {})
 
 
 def load_pixel(file: str | os.PathLike[str]) -> Pixel:

@@ -111,7 +111,6 @@ TEXTS = {
     "[pixel]\npitch_um = 3,45": "Write numbers with a decimal point and without a unit",
     "metrics = []": "metrics: got []; allowed: a list of at least 1.",
     "[camera]\ndie_mm = true": "camera.die_mm: got True; allowed: a number or a name.",
-    "[scene]\nparameters = { lux = 500 }": "State parameters as scene.lux = 500",
 }
 
 

@@ -173,10 +173,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ("run csf --camera.pixels 1936 1216", "write a pair of numbers as 1936x1216"),
         ("cache clear", "allowed: options. Did you mean --clear?"),
         ("run csf a b c", "extra words 'a' and 2 more"),
-        (
-            "run --seed 3",
-            "run: got no SCENE; allowed: An XML file, or the name of a packaged scene: csf,",
-        ),
+        ("run --seed 3", "scene: got none; allowed: an XML file, one of cornell_box, csf,"),
         ("run csf --spp 64", "A parameter of the scene goes after -D: -D spp=VALUE"),
         ("run csf --camera.resolution 640x480", "Did you mean --camera.pixels?"),
         (

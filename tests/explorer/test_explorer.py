@@ -50,7 +50,7 @@ CONTROLLED_FIELDS = {
     "pixel.pitch_um": 40.0,
     "camera.f_number": 5.6,
     "exposure.gain_db": 6.1,
-    "scene.luminance_cd_per_m2": 300.0,
+    "scene.parameters.luminance_cd_per_m2": 300.0,
     "motion.image_um_per_s": 500.0,
     "develop.denoise": "nlm",
     "develop.denoise_strength": 1.5,
@@ -120,7 +120,7 @@ def test_first_picture_is_that_of_a_run_bit_for_bit(answered):
 def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
     last = final(answered[1])[0]
     (tmp_path / "settings.toml").write_text(last["settings"])
-    words = ["run", "csf", "--config", tmp_path / "settings.toml"]
+    words = ["run", "--config", tmp_path / "settings.toml"]
     if way == "command":
         words = shlex.split(last["command"])[1:]
     assert_repeats(words, tmp_path / "out", with_pictures(answered[1])["pictures"])
@@ -132,7 +132,7 @@ def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monk
     header = dict(light.header)
     session = Session(light, (), {name: SMALL[name] for name in ("pixel", "display")})
     paths = {control.path for control in session.controls}
-    assert not {"lens.file", "scene.luminance_cd_per_m2"} & paths
+    assert not {"lens.file", "scene.parameters.luminance_cd_per_m2"} & paths
 
     sent = answers(session, PageRequest(1, ((0, {"exposure.gain_db": 3.0}),)))
     assert light.header == header
@@ -222,7 +222,8 @@ def test_controls_have_what_their_fields_declare():
 
 
 @pytest.mark.parametrize(
-    ("scene", "path"), [("still_life", "scene.lux"), ("flat", "scene.luminance_cd_per_m2")]
+    ("scene", "path"),
+    [("still_life", "scene.parameters.lux"), ("flat", "scene.parameters.luminance_cd_per_m2")],
 )
 def test_controls_of_a_scene_follow_its_parameters(scene, path):
     assert path in {control.path for control in Session(scene, (), SMALL).controls}
@@ -253,14 +254,15 @@ def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
     for path, table in zip(files, ("pixel", "pixel", "display"), strict=True):
         path.write_text(f"[{table}]\nbits = 10", encoding="utf-8")
     options = {"pixel": {"bits": 12}, "display": {"dots": 64}}
-    assert presets_of([view, one], options)[0][1:3] == ("as given", (view, one))
-    presets = presets_of([one, view, two], options)
+    scene = {"file": "csf"}
+    assert presets_of([view, one], options, scene)[0][1:3] == ("as given", (view, one))
+    presets = presets_of([one, view, two], options, scene)
     assert [preset[:3] for preset in presets[:2]] == [
         ("files", "one.toml", (one, view)),
         ("files", "two.toml", (view, two)),
     ]
     by_name = {preset.name: preset for preset in presets}
-    tables = {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}}
+    tables = {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}, "scene": scene}
     assert by_name["4t-bsi"][2:] == ((), tables)
     assert by_name["imx477"].tables["pixel"]["full_well_e"] == 8180
     assert "Nikon D5100" in by_name

@@ -35,6 +35,7 @@ RECORDS = (  # of settings, inside those that pixsim itself has
         "studies.settings.AxisValue",
         "studies.settings.Condition",
         "viewer.setting.Effort",
+        "viewer.setting.RunScene",
     ),
     *(
         "studies.settings.PitchRange",

@@ -23,6 +23,7 @@ from pixsim.base.toml import packaged, read_toml
 from pixsim.cli import options
 from pixsim.report.templates import json_schema, template
 from pixsim.scene.charts import siemens_star, write_chart
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.pixel_options import DATA_SHEET
 from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
@@ -50,6 +51,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "sheet.toml").write_text(SHEET, encoding="utf-8")
     (folder / "qe.csv").write_text("400,0.3\n550,0.6123456789012345\n700,0.4\n", encoding="utf-8")
     (folder / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
+    (folder / "mine.xml").write_bytes(packaged_scenes()["csf"].read_bytes())
     write_chart(folder / "star.exr", siemens_star(64, 64))
     light = (
         np.linspace(1e-3, 5e-3, 48)[:, None, None] * np.linspace(0.2, 1, 48)[:, None] * np.ones(31)
@@ -93,10 +95,10 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
     ("line", "head", "files", "numbers"),
     [
         ("run csf --config sheet.toml --window 1.1 --camera.f-number 5.6 --seed 3 --resolution 48 --render-noise 10",
-         "run csf --config settings.toml", RUN_FILES, SCORE),
-        ("run csf --pixel.technology mine.toml -D chart=star.exr -D spp=4 --camera.die-mm 1 --variant scalar_spectral --full "
-         "--resolution 32 --display.dots 64 --render-noise 10", "run csf --config settings.toml --full", RUN_FILES, SCORE),
-        ("run light.npz --config sheet.toml --seed 2", "run /", RUN_FILES, SCORE[:5]),
+         "run --config settings.toml", RUN_FILES, SCORE),
+        ("run mine.xml --pixel.technology mine.toml -D chart=star.exr -D spp=4 --camera.die-mm 1 --variant scalar_spectral --full "
+         "--resolution 32 --display.dots 64 --render-noise 10", "run --config settings.toml --full", RUN_FILES, SCORE),
+        ("run light.npz --config sheet.toml --seed 2", "run --config settings.toml", RUN_FILES, SCORE[:5]),
         (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --repeats 2", (),
          (*COMPARED, "conditions", "probability_a_better", "displays", "verdicts")),
     ],
@@ -110,10 +112,13 @@ def test_command_of_settings_makes_the_same_numbers(
     tmp_path: Path,
     monkeypatch: Any,
 ) -> None:
-    """The command in settings.toml, in its folder, gives every number again, bit for bit."""
+    """The command in settings.toml, in its folder, gives every number again, bit for bit, also
+    after that is moved with the files that it names.
+    """
     options = "--irradiance none" if line.startswith("run") else "--jobs 1"
     out, again = desk / "out", tmp_path / "again"
     output_of(f"{line} {options} --out out")
+    out = desk.rename(tmp_path / "moved") / "out"
     repeat = command_in(out)
     assert repeat.startswith(head)
     monkeypatch.chdir(out)
@@ -126,7 +131,8 @@ def test_command_of_settings_makes_the_same_numbers(
     )
     assert {name: second[name] for name in numbers} == {name: first[name] for name in numbers}
     settings, settings_again = (
-        (folder / "settings.toml").read_text(encoding="utf-8") for folder in (out, again)
+        (folder / "settings.toml").read_text(encoding="utf-8").replace('"../moved/', '"../')
+        for folder in (out, again)
     )
     assert tomllib.loads(settings_again) == tomllib.loads(settings)
     assert "qe.csv" not in settings, "values, not files"
@@ -163,7 +169,9 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
         " 1e-9 --out out"
     )
     monkeypatch.setenv("PIXSIM_CACHE_GIB", "0")
-    output_of(f"{scene} --config out/settings.toml --out {same}")
+    output_of(
+        f"run --variant scalar_spectral --irradiance none --config out/settings.toml --out {same}"
+    )
     first, again = (
         json.loads((folder / "score.json").read_text(encoding="utf-8"))
         for folder in (desk / "out", same)

@@ -53,7 +53,8 @@ def two_sheets(folder: Path, first: Any = (), second: Any = (), **more: str) -> 
 def prepared(
     files: list[Path], scene: str = "flat", match: Any = "view", **options: Any
 ) -> SensorGroup:
-    return prepare(files, scene, match=match, repeats=2, options=options).shown
+    options = {**options, "scene": {"file": scene}}
+    return prepare(files, match=match, repeats=2, options=options).shown
 
 
 @pytest.fixture(scope="module")
@@ -407,7 +408,7 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
 
 
 def test_option_that_every_condition_sets_is_named(files: list[Path]) -> None:
-    options = {"scene": {"luminance_cd_per_m2": 5.0}}
+    options = {"scene": {"parameters": {"luminance_cd_per_m2": 5.0}}}
     with pytest.warns(
         UserWarning, match="luminance_cd_per_m2 is not used: every condition sets it"
     ):
@@ -416,7 +417,9 @@ def test_option_that_every_condition_sets_is_named(files: list[Path]) -> None:
 
 def test_scene_of_an_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
-    assert prepare(files, "flat", study=study, match="view", repeats=2).shown.scene == "flat"
+    options = {"scene": {"file": "flat"}}
+    job = prepare(files, study=study, match="view", repeats=2, options=options)
+    assert job.shown.scene == "flat"
 
 
 @pytest.mark.parametrize(

@@ -309,13 +309,16 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     ),
     "a condition of another field of the scene": (
         partial(compare_in, {"scene": {"xml": 1}}),
-        ("condition x", "scene.file"),
+        ("condition x", "allowed: file, parameters"),
     ),
     "a pair of one frame": (
         partial(compare, "a.toml", "b.toml", repeats=1),
         ("repeats", "2 to 10000"),
     ),
-    "a condition of no scene": (partial(compare_in, {"scene": 3}), ("condition x", "scene.file")),
+    "a condition of no scene": (
+        partial(compare_in, {"scene": 3}),
+        ("condition x", "a table of file"),
+    ),
     "a condition of an unknown parameter": (
         partial(compare_in, {"scene": {"parameters": {"lumi": 1}}}),
         ("condition x", "lumi"),

@@ -29,7 +29,6 @@ from pixsim.studies.settings import with_axes
 
 def comparison_files(
     sensors: Sequence[str],
-    scene: str | None,
     options: Mapping[str, Any],
     out: Path | None,
     *,
@@ -64,13 +63,7 @@ def comparison_files(
     options = with_axes(options, axes, stated)
     with collected_notes() as notes:
         job = prepare(
-            sensors,
-            scene,
-            study=study,
-            config=config,
-            options=options,
-            quick=quick,
-            **prepare_options,
+            sensors, study=study, config=config, options=options, quick=quick, **prepare_options
         )
         folder = out or DEFAULT_OUT / "-".join(job.names)
         if dry_run:

@@ -13,12 +13,12 @@ from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import Irradiance, RunFiles, run_document, run_page
 from pixsim.show.document import Document
 from pixsim.show.render import write
+from pixsim.studies.prepare import file_of_scene
 from pixsim.studies.run import check_raw, prepare, render_run, score_run
 from pixsim.viewer.setting import Run
 
 
 def run_files(
-    scene: str,
     settings: Run,
     out: Path | None,
     *,
@@ -31,6 +31,7 @@ def run_files(
 ) -> tuple[Document, Path | None]:
     """Write the files of a run to a folder. Returns the answer and the page; no page of a dry run.
 
+    settings : with the file of the scene
     out : folder. None means one named by the scene
     formats : of the raw frame, besides EXR
     irradiance : what irradiance.exr holds
@@ -40,13 +41,13 @@ def run_files(
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.
     """
-    folder = out or DEFAULT_OUT / Path(scene).stem
+    folder = out or DEFAULT_OUT / Path(file_of_scene(settings)).stem
     suffixes = [f".{suffix}" for suffix in formats]
     check_raw(settings, suffixes)
     files = RunFiles(tuple(suffixes), irradiance, settings.noise_budget)
     if not dry_run:
         check_replaceable(folder, files.names(prepare_options["frames"]))
-    prepared = prepare(scene, settings, **prepare_options)
+    prepared = prepare(settings, **prepare_options)
     if dry_run:
         return outline_document("run", run_outline(prepared), folder), None
 
