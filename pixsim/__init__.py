@@ -40,11 +40,12 @@ if TYPE_CHECKING:
         Technology as Technology,
         load_technology as load_technology,
     )
-    from pixsim.studies.compare import compare as compare, compare_results as compare_results
+    from pixsim.studies.compare import compare as compare
     from pixsim.studies.run import run as run
     from pixsim.studies.settings import Study as Study
     from pixsim.studies.study import study as study
     from pixsim.studies.sweep import sweep as sweep
+    from pixsim.studies.two_results import compare_results as compare_results
     from pixsim.verification.ladder import accuracy as accuracy
     from pixsim.viewer import (
         display as display,
@@ -97,7 +98,8 @@ _NAMES_OF = {
     "viewer.evaluate": "evaluate",
     "viewer.other_pictures": "score_pictures",
     "studies.study": "study",
-    "studies.compare": "compare compare_results",
+    "studies.compare": "compare",
+    "studies.two_results": "compare_results",
     "report.write": "write_report",
     "studies.run": "run",
     "studies.sweep": "sweep",

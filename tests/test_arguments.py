@@ -163,7 +163,7 @@ NOT_CALLED = {
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.explore": "it opens a page", "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.curve.Curve": "of a whole study",
-    "pixsim.studies.compare.ResultsComparison": "two folders",
+    "pixsim.studies.two_results.ResultsComparison": "two folders",
     "pixsim.PixsimError": "takes any text", "pixsim.studies.table.Table": "the rows of a sweep",
 }  # fmt: skip
 ANY_VALUE = {"object", "Any"}

@@ -287,8 +287,8 @@ def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) 
         noted(lambda: pixsim.evaluate(light, camera, pixsim.Pixel(**pixel), display=display))
         == slips
     )
-    settings = run_settings((), {"pixel": pixel, "display": {"dots": 64}})
-    assert noted(lambda: run.prepare("csf", settings)) == slips, "before a render"
+    tables = {"scene": {"file": "csf"}, "pixel": pixel, "display": {"dots": 64}}
+    assert noted(lambda: run.prepare(run_settings((), tables))) == slips, "before a render"
     sheet = {name: value for name, value in pixel.items() if name != "pitch_um"}
     sheet |= {"data_sheet_pitch_um": 30.0}
     sizes = {"values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}

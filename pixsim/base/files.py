@@ -326,11 +326,17 @@ def read_file_list(folder: Path) -> dict[str, Any]:
 
 
 def version_of_files(folder: Path) -> str:
-    """Return the version of pixsim that wrote the files of an output folder; nothing where its list
-    does not say.
+    """Return the version of pixsim that wrote the files of an output folder, or of a folder in one;
+    nothing where its list does not say.
     """
+    folder = folder.resolve()
     with suppress(PixsimError):
-        return read_file_list(folder).get("versions", {}).get(_PIXSIM, "")[:20]
+        content = read_file_list(folder)
+        if not content:
+            outer = read_file_list(folder.parent)
+            is_listed = any(name.startswith(f"{folder.name}/") for name in outer.get("files", ()))
+            content = outer if is_listed else {}
+        return str(content.get("versions", {}).get(_PIXSIM, ""))[:20]
     return ""
 
 

@@ -40,7 +40,6 @@ from pixsim.report.commands import DEFAULT_OUT
 from pixsim.viewer.setting import Run
 
 _RawFormat = Literal["tiff", "png", "npz"]
-_TWO_FOLDERS = 2  # of results that are compared
 _SCENE_HELP = (
     "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target,"
     " macbeth, line_lamp, still_life, cornell_box, yard."
@@ -403,7 +402,8 @@ def compare(
             help=(
                 "Two or more sensors: TOML files with a table [pixel], such as data sheets; files"
                 " of technologies, or names of packaged ones. The first is the reference. Or two"
-                " folders of results of the same light, whose frames are paired."
+                " results, whatever differs between them: folders, or settings files of runs with"
+                " their scene, as settings.toml."
             ),
             completer=common.complete_technology,
             metavar="SENSOR",
@@ -471,17 +471,9 @@ def compare(
     Example: pixsim compare pixsim-out/first pixsim-out/second
 
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes
-    compare.json, pictures, settings.toml, the settings of each sensor, and report.html.
+    compare.json, pictures, settings.toml, the settings of each sensor, and report.html; of two
+    results summary.json, report.html, and a folder for each run of a settings file.
     """
-    if len(sensors) == _TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
-        from pixsim.report.two_results import results_document
-        from pixsim.show.render import write
-        from pixsim.studies.compare import compare_results
-
-        document = results_document(compare_results(*sensors))
-        page = None if options.out is None else write(document, options.out)
-        answer(document, options.json, page)
-        return
     from pixsim.report.commands.compare import comparison_files
 
     tables = options.scene_options.tables(options.effort, scene=scene, **options.settings)

@@ -105,7 +105,7 @@ FILES = (  # next to the page
     SETTINGS_FILE,
     "pixsim.json",
 )
-_STATISTICS_WORDS = {
+STATISTICS_WORDS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
     "full_well_e": "full well (electrons)",
@@ -393,6 +393,12 @@ def _metrics_data(result: RunResult) -> dict[str, Any]:
     if result.judged:
         means = {name: float(values.mean()) for name, values in result.judged.items()}
         entries["metrics"] = plain(means)
+        if result.delta_e.size > 1:
+            intervals = {
+                metric.name: result.interval(result.judged[metric.name], metric.columns[0])
+                for metric in metrics_named(list(result.judged))
+            }
+            entries["metric_intervals"] = intervals
     if (threshold := result.threshold) is not None:
         entries["at_threshold"] = {
             "parameter": threshold.parameter,
@@ -716,14 +722,14 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
 
     statistics = result.statistics[0]
     for name in _shown_statistics(result):
-        if name in _STATISTICS_WORDS:
+        if name in STATISTICS_WORDS:
             if name.endswith("_delta_e"):
                 value = estimate(statistics[name])
             else:
                 value = rounded(statistics[name], 4)
             # A data sheet gives the numbers of the whole pixel
             if name != "fill_factor" or value != "1":
-                yield _STATISTICS_WORDS[name], value
+                yield STATISTICS_WORDS[name], value
 
     imaging = result.chain.imaging
     longest_path_um = result.chain.image_motion.longest_um

@@ -20,7 +20,7 @@ from pixsim.show.figures import literal
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import BASE, Case
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
-from pixsim.studies.paired import MIN_PAIRS, Pairs, mean_interval
+from pixsim.studies.paired import Difference, Pairs, mean_interval
 from pixsim.studies.result import fill_notes
 from pixsim.studies.sensors import ComparisonJob, SensorGroup, pixels_of
 from pixsim.viewer.dark_clip import clip_note, clips_dark
@@ -35,9 +35,11 @@ if TYPE_CHECKING:
 
 # --- a pair
 
+_SAME = 1e-6  # relative difference of two numbers that are called the same
 
-def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
-    """Return which of a pair is better by a metric, by how much, and how sure that is.
+
+def pair_sentence(pairs: Difference, film: float | None = 0.0) -> str:
+    """Return which of two is better by a metric, by how much, and how sure that is.
 
     film : largest error of the difference that the film may cause, which is part of what follows ±,
         or None if it is unknown
@@ -48,9 +50,10 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
         values = ((first, pairs.a), (other, pairs.b))
         undefined = [name for name, numbers in values if np.isnan(numbers).any()]
         return f"{metric.words} is not given for every frame of {' and '.join(undefined)}"
-    if not pairs.differences.any():
+    frames = "pair of frames" if isinstance(pairs, Pairs) else "frame"
+    if pairs.a.shape == pairs.b.shape and np.allclose(pairs.a, pairs.b, rtol=_SAME, atol=0.0):
         quantity = "mean ΔE" if metric.is_delta_e else metric.words
-        return f"{first} and {other} have the same {quantity} in every pair of frames"
+        return f"{first} and {other} have the same {quantity} in every {frames}"
 
     size = abs(pairs.difference)
     unit = " ΔE"
@@ -58,30 +61,29 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
         unit = f"{metric.unit and f' {metric.unit}'} in {metric.words}"
     is_first_better = metric.worse_by(pairs.difference) >= 0
     better, worse = (first, other) if is_first_better else (other, first)
-    if pairs.a.size < MIN_PAIRS:
-        return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
+    if not pairs.has_interval:
+        one = f"one {frames}" if isinstance(pairs, Pairs) else "a frame of each"
+        return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in {one}"
 
     error = pairs.half_width + (film or 0.0)
     amount_words = f"{with_error(size, error)}{unit}"
     if film is None:
         amount_words += " and the unknown error of the film"
-    larger = max(pairs.probability_a_better, 1 - pairs.probability_a_better)
-    chance = probability(larger, pairs.a.size)
+    chance = pairs.probability_a_better
+    if chance is not None:
+        amount_words += f" (probability {probability(max(chance, 1 - chance), pairs.a.size)})"
     if size <= error:
-        return (
-            f"{first} and {other} cannot be told apart: {better} is better by {amount_words}"
-            f" (probability {chance})"
-        )
+        return f"{first} and {other} cannot be told apart: {better} is better by {amount_words}"
 
-    sentence = f"{better} is better than {worse} by {amount_words} (probability {chance})"
+    sentence = f"{better} is better than {worse} by {amount_words}"
     if metric.is_delta_e and size < NO_VISIBLE_DELTA_E:
         sentence += f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
     return sentence
 
 
-def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
-    """Return the cells of a table with a pair's difference, its 95 % interval, and the probability
-    that the first one is better.
+def pair_cells(pairs: Difference, film: float | None = 0.0) -> tuple[str, str, str]:
+    """Return the cells of a table with a difference, its 95 % interval, and the probability that
+    the first one is better.
 
     film : as in `pair_sentence`
 
@@ -89,15 +91,16 @@ def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
     """
     if math.isnan(pairs.difference):
         return UNKNOWN, "", ""
-    if pairs.a.size < MIN_PAIRS:
+    if not pairs.has_interval:
         return f"{'+' * (pairs.difference > 0)}{rounded(pairs.difference, 4)}", "", ""
-    chance = probability(pairs.probability_a_better, pairs.a.size)
-    return *difference_cells(pairs.difference, pairs.interval, film or 0.0), chance
+    chance = pairs.probability_a_better
+    chance_text = "" if chance is None else probability(chance, pairs.a.size)
+    return *difference_cells(pairs.difference, pairs.interval, film or 0.0), chance_text
 
 
-def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) -> None:
-    """Draw differences of pairs with their 95 % intervals, one below the other."""
-    halves = [pair.half_width if pair.a.size >= MIN_PAIRS else 0.0 for pair in pairs]
+def draw_differences(axes: Axes, pairs: Sequence[Difference], labels: Sequence[str]) -> None:
+    """Draw differences with their 95 % intervals, one below the other."""
+    halves = [pair.half_width if pair.has_interval else 0.0 for pair in pairs]
     axes.errorbar(
         [pair.difference for pair in pairs], range(len(pairs)), xerr=halves, fmt="D", capsize=4
     )

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.digits import estimate
-from pixsim.base.errors import one_line
+from pixsim.base.errors import invalid, one_line
+from pixsim.base.files import check_picture, opened, reason
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
@@ -77,6 +78,23 @@ def light_png(light: Array) -> bytes:
     """
     codes = display_codes(light)
     return png_bytes(codes if codes.ndim == 3 else np.repeat(codes[:, :, None], 3, axis=2))
+
+
+def light_of_png(path: Path) -> Array:
+    """Return the light that `light_png` encoded in a file, (H, W, 3), as exactly as its codes have
+    it.
+
+    Raises PixsimError if the file is missing, damaged or too large.
+    """
+    from PIL import Image
+
+    check_picture(path)
+    with opened(path, "picture", "a readable picture") as file:
+        try:
+            codes = np.asarray(Image.open(file).convert("RGB"))
+        except Exception as error:  # a decoder may raise anything for a damaged file
+            raise invalid(f"picture '{path}'", reason(error), "a readable picture") from None
+    return np.asarray((codes / 255) ** _VIEWING_GAMMA)
 
 
 def scale_end(p99_delta_e: float) -> float:

@@ -238,6 +238,7 @@ def _write_files(document: Document, folder: Path, target: Path, figures: Figure
 
     target : folder to which they go from there
     """
+    folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(2) as pool:
         writes = [pool.submit(write_content, folder) for write_content in document.writers]
 

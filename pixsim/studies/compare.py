@@ -3,18 +3,15 @@ these are.
 
 All sensors see the same field, on one display, in the same light. The first sensor and each other
 one are compared as if no third one were there. Both frames of a pair have the random seeds of its
-number. Of results that exist, frames of the same light and random streams are pairs.
+number.
 """
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -24,14 +21,10 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, Jobs
-from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import output_folder, read_text, version_of_files
+from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
 from pixsim.base.notes import Note, collected_notes, suppressed_warnings, warn
 from pixsim.base.progress import Progress, Stage, no_stage, share_of
-from pixsim.base.result import Result
-from pixsim.base.schema import KEY, check_not_newer
-from pixsim.base.version import VERSION
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
@@ -42,305 +35,18 @@ from pixsim.studies.evaluate import RenderedCase, check_ideals, evaluate_points,
 from pixsim.studies.files import scene_of_python, tables_of_python
 from pixsim.studies.film_error import cached_film_steps
 from pixsim.studies.lights import Light, rendered_light
-from pixsim.studies.paired import Pairs
 from pixsim.studies.prepare import SensorTypes
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_supported
-from pixsim.studies.table import (
-    CHECK,
-    COLUMNS,
-    MAX_BYTES,
-    ROWS_FILE,
-    check_replaceable_results,
-    is_as_written,
-)
+from pixsim.studies.table import ROWS_FILE, check_replaceable_results
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_registry import METRICS
-from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric
 from pixsim.viewer.noise_budget import noise_budget
 from pixsim.viewer.scene_light import PreparedScene
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
-
-# --- results that exist ---------------------------------------------------------------------------
-
-_MAKE_AGAIN = "Make it again, with its settings.toml."
-RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
-# Entries of a header of light that depend on the pixels.
-_PIXEL_HEADER_KEYS = {"plan", "bound_e", "spare_e", "render_noise"}
-
-
-@dataclass(frozen=True)
-class ResultFolder:
-    """A result in a folder.
-
-    path : of the folder
-    kind : "run", "study" or "comparison"
-    lights : header of each light, by the case or the sensor that sees it
-    film_delta_e : largest error of a mean ΔE that the film may cause, of all lights; 0 of light
-        that was given, NaN if unknown
-    streams : what its random streams begin with
-    rows : of results.csv, by the place of each: labels, size of a study's pixels, repeat, and dots
-        where there are several
-    """
-
-    path: Path
-    kind: str
-    lights: Mapping[str, Mapping[str, Any]] = field(repr=False)
-    film_delta_e: float
-    streams: tuple[object, ...]
-    rows: Mapping[tuple[object, ...], Mapping[str, float]] = field(repr=False)
-
-    @property
-    def name(self) -> str:
-        """Name of the folder."""
-        return self.path.resolve().name
-
-    @property
-    def columns(self) -> list[str]:
-        """Columns of numbers that all rows have."""
-        return list(next(iter(self.rows.values())))
-
-
-def _read_folder(path: str | os.PathLike[str]) -> ResultFolder:
-    """Return the result in a folder. Raises PixsimError for another folder, and for one of another
-    version of pixsim.
-    """
-    folder = Path(path)
-    files = [name for name in RESULTS if (folder / name).is_file()]
-    allowed = f"the folder of a run, a study or a comparison, with {ROWS_FILE}"
-    if not files:
-        raise invalid("results", f"'{folder}' without {', '.join(RESULTS)}", allowed)
-    if (version := version_of_files(folder)) != VERSION:
-        if version:
-            got = f"'{folder}', from pixsim {version}"
-        else:
-            got = f"'{folder}', from an unknown version of pixsim"
-        raise invalid("results", got, f"results of pixsim {VERSION}", _MAKE_AGAIN)
-    if not (folder / ROWS_FILE).is_file():
-        hint = (
-            "Comparisons and studies write it to their --out folder, and so do runs since"
-            " pixsim 2.0."
-        )
-        raise invalid("results", f"'{folder}' without {ROWS_FILE}", allowed, hint)
-    data_file = folder / files[0]
-    kind = RESULTS[files[0]]
-    try:
-        content = json.loads(read_text(data_file, "results", "JSON", MAX_BYTES))
-        check_not_newer(f"'{data_file}'", content.get("schema"))
-        light_entries, streams = _light_entries_and_streams(content, kind)
-        lights = {name: entry["irradiance"] for name, entry in light_entries.items()}
-        film_delta_e = _largest_film_error(light_entries.values())
-    except PixsimError:
-        raise
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise invalid(
-            "results",
-            f"'{data_file}', which is damaged",
-            f"the file of a {kind} as pixsim wrote it",
-            _MAKE_AGAIN,
-        ) from None
-    rows = _rows_of(folder / ROWS_FILE, kind)
-    if not rows:
-        raise invalid("results", f"'{folder / ROWS_FILE}' without rows", allowed)
-    return ResultFolder(folder, kind, lights, film_delta_e, streams, rows)
-
-
-def _light_entries_and_streams(
-    content: Mapping[str, Any], kind: str
-) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
-    """Return the entry of each light of a result, with the error of its film, by the light's name;
-    and the beginning of the keys of its random streams.
-    """
-    if kind == "run":
-        return {"": content}, ("evaluate", content["seed"])
-    if kind == "comparison":
-        return dict(content.get("sensors", {})), ("compare", content.get("seed"))
-    study = content["study"]
-    cases = {
-        json.dumps([case["at"], case.get("condition")], sort_keys=True): case
-        for case in content.get("cases", [])
-        if "irradiance" in case
-    }
-    return cases or {"": content}, (study.get("streams") or study["name"], study.get("seed", 0))
-
-
-def _largest_film_error(entries: Iterable[Mapping[str, Any]]) -> float:
-    """Return the largest error of a mean ΔE by the film; 0 if no light was rendered, NaN if one is
-    unknown.
-    """
-    errors = [film["delta_e"] for entry in entries if (film := entry.get("film"))]
-    return math.nan if None in errors else max(errors, default=0.0)
-
-
-def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]]:
-    """Return the numbers of the rows of results.csv by their places."""
-    first_number = PIXEL_STATISTICS[0]
-    rows: dict[tuple[object, ...], dict[str, float]] = {}
-    header_line, *lines = read_text(
-        path, "results", "the rows of a study", MAX_BYTES
-    ).splitlines() or [""]
-    reader = csv.DictReader([header_line, *lines])
-    names = list(reader.fieldnames or ())
-    if names[:3] != list(COLUMNS[:3]) or first_number not in names:
-        raise invalid("results", f"'{path}'", "the rows of a study")
-    if not all(is_as_written(line, header_line) for line in lines):
-        raise invalid(
-            "results",
-            f"'{path}', with a row that changed after pixsim wrote it",
-            "rows as pixsim wrote them",
-            _MAKE_AGAIN,
-        )
-
-    labels = names[names.index("repeat") + 1 : names.index(first_number)]
-    numbers = [name for name in names[names.index(first_number) :] if name not in (KEY, CHECK)]
-    for row in reader:
-        place: list[object] = [(name, row[name]) for name in labels]
-        # The sensor of a run is what is compared; the sizes of a comparison are those of its
-        # sensors.
-        place += [] if kind == "run" else [("technology", row["technology"])]
-        place += [("pitch_um", float(row["pitch_um"]))] if kind == "study" else []
-        rows[*place, ("repeat", int(row["repeat"]))] = {
-            name: float(row[name] or "nan") for name in numbers
-        }
-    return rows
-
-
-@dataclass(frozen=True)
-class ResultPairs:
-    """Frames of two results that have all but the result in common.
-
-    place : labels, and size of a study's pixels
-    pairs : of a metric, in the order of the repeats
-    """
-
-    place: Mapping[str, Any]
-    pairs: Pairs
-
-
-@dataclass(frozen=True)
-class ResultsComparison(Result):
-    """Two results of the same light and random streams, paired frame by frame.
-
-    a, b : the folders
-    differences : of each metric at each place that both have
-    only_in_one : number of rows that one of them has alone
-    """
-
-    a: ResultFolder
-    b: ResultFolder
-    differences: tuple[ResultPairs, ...]
-    only_in_one: int = 0
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """Names of the folders."""
-        return _folder_names(self.a, self.b)
-
-    @property
-    def film_delta_e(self) -> float | None:
-        """Largest error of a difference of mean ΔE that the film may cause, the sum of both
-        results', or None if it is unknown.
-        """
-        error = self.a.film_delta_e + self.b.film_delta_e
-        return None if math.isnan(error) else error
-
-    def film_error_of(self, metric: Metric) -> float | None:
-        """Return the error of the film in the difference of a metric, None if it is unknown.
-
-        metric : ΔE, or another, whose error by the film is not measured and taken as 0
-        """
-        return self.film_delta_e if metric.is_delta_e else 0.0
-
-    def __repr__(self) -> str:
-        return (
-            f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"
-        )
-
-
-def _folder_names(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
-    """Return the names of two folders; with the folders above them where these are the same."""
-    return (a.name, b.name) if a.name != b.name else (str(a.path), str(b.path))
-
-
-def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> ResultsComparison:
-    """Compare two results that exist, by their folders: of two runs, two studies or two
-    comparisons.
-
-    a, b : folders that pixsim wrote. Their light and random streams must be the same, so that their
-        frames are pairs
-
-    Raises PixsimError for folders of another kind or of another version of pixsim, and says what of
-    light and streams differs.
-    """
-    first = _read_folder(a)
-    other = _read_folder(b)
-    if first.kind != other.kind:
-        raise invalid(
-            "results", f"a {first.kind} and a {other.kind}", "two results of the same kind"
-        )
-    if light_differences := list(_light_differences(first, other)):
-        hint = "Compare sensors in the same light: pixsim compare A.toml B.toml."
-        got = f"two results that differ in {'; '.join(light_differences)}"
-        raise invalid("results", got, "results of the same light and streams", hint)
-    shared = [place for place in first.rows if place in other.rows]
-    if not shared:
-        raise invalid(
-            "results", "two results without a row in common", "the same cases, sizes and sensors"
-        )
-    groups: dict[tuple[object, ...], list[tuple[object, ...]]] = {}
-    for place in shared:
-        groups.setdefault(place[:-1], []).append(place)
-
-    differences = []
-    for metric in metrics_of(first, other):
-        column = metric.columns[0]
-        for labels, places in groups.items():
-            values_a, values_b = (
-                np.array([folder.rows[place][column] for place in places])
-                for folder in (first, other)
-            )
-            if np.isfinite([values_a, values_b]).all():
-                pairs = Pairs(_folder_names(first, other), values_a, values_b, metric)
-                differences.append(ResultPairs(dict(labels), pairs))  # type: ignore[arg-type]
-    unpaired_count = len(first.rows) + len(other.rows) - 2 * len(shared)
-    return ResultsComparison(first, other, tuple(differences), unpaired_count)
-
-
-def metrics_of(a: ResultFolder, b: ResultFolder) -> list[Metric]:
-    """Return the metrics of which both results have numbers."""
-    shared_columns = set(a.columns) & set(b.columns)
-    return [metric for metric in METRICS.values() if metric.columns[0] in shared_columns]
-
-
-def _light_differences(a: ResultFolder, b: ResultFolder) -> Iterator[str]:
-    """Yield each difference of the light and the random streams of two results, as text."""
-    if a.streams != b.streams:
-        yield f"random streams ({_shortened(a.streams)} and {_shortened(b.streams)})"
-    for name in a.lights.keys() & b.lights.keys():
-        first = _light_header(a, name)
-        second = _light_header(b, name)
-        for key in sorted(first.keys() | second.keys()):
-            # As JSON, a NaN equals itself.
-            if json.dumps(first.get(key)) != json.dumps(second.get(key)):
-                values = f"{_shortened(first.get(key))} and {_shortened(second.get(key))}"
-                yield f"the light's {key} ({values})"
-
-
-def _light_header(result: ResultFolder, name: str) -> dict[str, Any]:
-    """Return the header of a light, without entries that depend on the pixels."""
-    header = result.lights[name]
-    return {key: value for key, value in header.items() if key not in _PIXEL_HEADER_KEYS}
-
-
-def _shortened(value: object) -> str:
-    return f"{value}"[:60]
-
-
-# --- sensors in one scene -------------------------------------------------------------------------
 
 
 def compare(

@@ -1,5 +1,5 @@
-"""Pairs of frames: the mean of values or of paired differences, its interval, and how probably it
-is above 0.
+"""Differences of two sensors or results: of frames in pairs, or of the means of frames that are no
+pairs; their intervals, and how probably they are above 0.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ SENSOR, CONDITION = "technology", "condition"  # labels of a table
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """A number of two sensors in pairs of frames with the same seeds.
+class Difference:
+    """A number of one sensor or result minus that of another.
 
-    names : of the sensors, a and b
-    a, b : the number in each frame, (pairs,)
+    names : of the two, a and b
+    a, b : the number in each frame of theirs, (frames,)
     metric : whose number it is
     """
 
@@ -38,6 +38,52 @@ class Pairs:
     a: Array = field(repr=False)
     b: Array = field(repr=False)
     metric: Metric = field(default=DELTA_E, repr=False)
+
+    @property
+    def difference(self) -> float:
+        """Mean of b minus mean of a; of mean ΔE: above 0, a is better."""
+        return float(self.b.mean() - self.a.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the expected difference, of frames that have a scatter; errors of the
+        light are not in it.
+        """
+        raise NotImplementedError
+
+    @property
+    def has_interval(self) -> bool:
+        """Whether there are enough frames for an interval."""
+        return min(self.a.size, self.b.size) >= MIN_PAIRS
+
+    @property
+    def half_width(self) -> float:
+        """Half of the length of the interval."""
+        low, high = self.interval
+        return (high - low) / 2
+
+    @property
+    def probability_a_better(self) -> float | None:
+        """Probability that a has a better expected number than b; None of frames that are no
+        pairs.
+        """
+        return None
+
+    def sign(self, error: float = 0.0) -> int:
+        """Return 1 if a is better, -1 if b is, and 0 if the difference is not significant.
+
+        It is significant if it exceeds half of its interval by more than `error`. A number that is
+        not defined in a frame gives 0.
+
+        error : a further error of the difference
+        """
+        is_sure = self.has_interval and abs(self.difference) > self.half_width + error
+        return int(np.sign(self.metric.worse_by(self.difference))) if is_sure else 0
+
+
+@dataclass(frozen=True)
+class Pairs(Difference):
+    """A number of two sensors in pairs of frames with the same seeds, (pairs,) each."""
 
     @property
     def differences(self) -> Array:
@@ -57,27 +103,28 @@ class Pairs:
         return mean_interval(self.differences)[::2]
 
     @property
-    def half_width(self) -> float:
-        """Half of the length of the interval."""
-        low, high = self.interval
-        return (high - low) / 2
-
-    @property
     def probability_a_better(self) -> float:
         """Probability that a has a better expected number than b."""
         sign = 1.0 if self.metric.better == "less" else -1.0
         return probability_above_zero(sign * self.differences)
 
-    def sign(self, error: float = 0.0) -> int:
-        """Return 1 if a is better, -1 if b is, and 0 if the difference is not significant.
 
-        It is significant if it exceeds half of its interval by more than `error`. A number that is
-        not defined in a frame gives 0.
+@dataclass(frozen=True)
+class Unpaired(Difference):
+    """A number of two results whose random streams differ, so that their frames are no pairs.
 
-        error : a further error of the difference
+    half_widths : half of the 95 % interval of each mean
+    """
+
+    half_widths: tuple[float, float] = field(kw_only=True)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the expected difference: its half is the root of the sum of the squares
+        of both means' halves.
         """
-        is_sure = self.a.size >= MIN_PAIRS and abs(self.difference) > self.half_width + error
-        return int(np.sign(self.metric.worse_by(self.difference))) if is_sure else 0
+        half = math.hypot(*self.half_widths)
+        return self.difference - half, self.difference + half
 
 
 def paired(

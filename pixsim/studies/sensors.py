@@ -196,7 +196,7 @@ def sensor_layer(file: str) -> Layer:
     names = [*technologies, *packaged_sensors()]
     if path.suffix != ".toml" and file not in names:
         got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
-        allowed = f"a TOML file, or one of {', '.join(names)}"
+        allowed = f"a TOML file, or one of {', '.join(names)}; or two folders of results"
         raise invalid("sensor", got, allowed, did_you_mean(file, names))
 
     layer = settings_layer(file)

@@ -43,6 +43,10 @@ COMMANDS = {
         "compare quiet.toml 'noisy one.toml' --display.dots 120 --resolution 256"
         " -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
     ),
+    "two_runs": (
+        "compare day.toml night.toml --display.dots 100 --resolution 128 --pixel.pitch-um 21.2"
+        " --metric delta_e,mtf50 --repeats 3 --variant scalar_spectral"
+    ),
     "datasheet": "datasheet 0.35um",
     "lens": "lens double_gauss --pitch-um 5 --focal-length-mm 50 --f-number 8",
 }
@@ -54,13 +58,21 @@ FURTHER_COMMANDS = {
         " --jobs 1"
         " --axis camera.f_number=2.8,4 --out cases"
     ),
-    "folders": "compare run run --json",
+    "folders": "compare run two_runs/night --json",
     "picture": (
         "run run/irradiance.exr --display.dots 32 --pixel.pitch-um 84.8 --metric information"
         " --out picture"
     ),
     "sfr": "sfr edge.npy --out sfr",
     "plan": "plan csf --json",
+}
+# Scene, lamp, lens, exposure and random numbers differ.
+RUNS = {
+    "day": '[scene]\nfile = "csf"\nluminance_cd_per_m2 = 1000.0\n',
+    "night": (
+        '[scene]\nfile = "siemens_star"\nluminance_cd_per_m2 = 1.0\n[camera]\nf_number = 2.8\n'
+        "[exposure]\nmax_integration_s = 0.03\n"
+    ),
 }
 STUDY = {
     "title": "Two processes",
@@ -105,6 +117,8 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Answer]:
     two_sheets(desk)
     y, x = np.indices((128, 128))
     np.save(desk / "edge.npy", (100 + 500 * (x + y / 12 > 70)).astype(np.uint16))
+    for seed, (name, text) in enumerate(RUNS.items()):
+        (desk / f"{name}.toml").write_text(f"seed = {seed}\n{text}", encoding="utf-8")
     text = tiny_toml(**merge(WHOLE_CHART, STUDY))
     (desk / "two_processes.toml").write_text(text, encoding="utf-8")
     answers: dict[str, Answer] = {}
@@ -165,7 +179,7 @@ def test_json_of_each_command_has_the_shared_entries(
     assert all(note.keys() == {"id", "text"} and note["id"] in NOTES for note in content["notes"])
 
     table = content["table"]
-    assert (table is None) == (name in ("folders", "lens", "plan"))
+    assert (table is None) == (name in ("folders", "lens", "plan", "two_runs"))
     assert table is None or (answer(name).folder / table).is_file()
 
     assert bool(content["optima"]) == (name in ("study", "cases"))
@@ -197,10 +211,15 @@ def test_dry_run_foresees_film_frames_and_the_least_error_of_the_film(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_page_is_self_contained(name: str, answer: Callable[[str], Answer]) -> None:
-    """Nothing comes from elsewhere, and no path of the machine is in it."""
+    """Nothing comes from elsewhere, and no path of the machine is in it; links lead to pages of its
+    folder.
+    """
     page = answer(name).page
     elements = Elements(page)
-    assert all(link.startswith(("data:", "#")) for link in elements.links)
+    assert all(
+        link.startswith(("data:", "#")) or (answer(name).folder / link).is_file()
+        for link in elements.links
+    )
     places = {link[1:] for link in elements.links if link.startswith("#")}
     assert places <= set(re.findall(r' id="([^"]+)"', page))
     assert not {"script", "link", "iframe", "object", "embed", "base"} & set(elements.tags)
@@ -231,6 +250,7 @@ def test_pages_fit_screens(answer: Callable[[str], Answer], tmp_path: Path) -> N
     sliders = {  # pictures of a slider, and what is on its left; details, and their dots
         "run": (1, "the ideal image", 3, 112),
         "compare": (2, "the picture of quiet", 6, 84),
+        "two_runs": (3, "the picture of day", 0, 0),
     }
     pages = [answer(name).folder / "report.html" for name in COMMANDS]
     for name, views in zip(COMMANDS, assert_fit(pages, tmp_path), strict=True):

@@ -343,7 +343,7 @@ TABLES = {
     "resolution": 32,
     "pixel": {"pitch_um": 84.8},
     "display": {"dots": 32},
-    "scene": {"spp": 4},
+    "scene": {"file": "csf", "parameters": {"spp": 4}},
 }
 
 
@@ -371,7 +371,7 @@ def light(**settings: Any) -> tuple[bytes, str]:
     """Return the light of a run, bit for bit, and its header."""
     run_settings = Run.model_validate(merge(TABLES, settings))
     with warnings.catch_warnings(action="ignore"):
-        image = render_run(prepare("csf", run_settings, variant=VARIANT), no_stage).irradiance
+        image = render_run(prepare(run_settings, variant=VARIANT), no_stage).irradiance
     return image.planes.tobytes(), repr(image.header)
 
 
@@ -404,8 +404,8 @@ def first_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ({"seed": 1}, 2),
         ({"camera": {"f_number": 8}}, 2),
-        ({"scene": {"spp": 64}}, 2),
-        ({"scene": {"emitter_scale": 0.02}}, 2),
+        ({"scene": {"parameters": {"spp": 64}}}, 2),
+        ({"scene": {"parameters": {"emitter_scale": 0.02}}}, 2),
         ({"render_noise": 2}, 4),  # those before are extended
         (
             {

@@ -148,7 +148,7 @@ def test_repeats_are_the_sensors_of_a_run() -> None:
         display={"dots": 48, "white_cd_per_m2": 3000.0},
         seed=2,
     )
-    run = run_prepared(prepare(LIGHT, settings, repeats=3))
+    run = run_prepared(prepare(settings, light=LIGHT, repeats=3))
     for row, expected in zip(table, run.statistics, strict=True):
         assert {name: row[name] for name in expected} == expected
 

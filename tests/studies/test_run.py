@@ -211,7 +211,7 @@ def test_runs_of_one_light_are_paired_frame_by_frame(
     """In Python and by the command, which writes a report where a folder is named."""
     paths = [folders[name] for name in ("quiet", "noisy")]
     result = pixsim.compare_results(*paths)
-    (delta_e,) = [each.pairs for each in result.differences if each.pairs.metric.is_delta_e]
+    (delta_e,) = [placed.difference for placed in result.differences]
     quiet, noisy = ([float(row["mean_delta_e"]) for row in rows(path)] for path in paths)
     np.testing.assert_array_equal(delta_e.differences, np.subtract(noisy, quiet))
     assert delta_e.sign() == 1, "the quiet one is better"
@@ -222,6 +222,35 @@ def test_runs_of_one_light_are_paired_frame_by_frame(
     assert summary["verdicts"] == expected["verdicts"]
 
 
+def test_runs_of_other_random_numbers_are_compared_by_their_means(folders: dict[str, Path]) -> None:
+    """The variance of a difference of independent means is the sum of theirs."""
+    names = ("quiet", "other")
+    result = pixsim.compare_results(*(folders[name] for name in names))
+    (placed,) = result.differences
+    scores = [
+        json.loads((folders[name] / "score.json").read_text(encoding="utf-8")) for name in names
+    ]
+    first, other = (score["sensors_mean_delta_e"] for score in scores)
+    assert placed.difference.difference == pytest.approx(other - first, rel=1e-12)
+    halves = [np.subtract(*score["interval_delta_e"][::-1]) / 2 for score in scores]
+    assert placed.difference.half_width == pytest.approx(np.hypot(*halves), rel=1e-12)
+    assert result.different_settings == {"seed": (0, 9)}
+
+
+def test_runs_of_settings_files_are_compared_as_their_folders(
+    folders: dict[str, Path], tmp_path: Path
+) -> None:
+    """Files of runs that are made for it stand beside the page of the comparison."""
+    paths = [folders[name] for name in ("quiet", "noisy")]
+    result = pixsim.compare_results(*(path / "settings.toml" for path in paths), repeats=3)
+    of_folders = pixsim.compare_results(*paths).as_dict()
+    assert result.as_dict() == of_folders
+    assert of_folders["different_settings"].keys() == {"pixel.read_noise_e"}
+    result.write(tmp_path)
+    for path in paths:
+        assert (tmp_path / path.name / "raw.exr").read_bytes() == (path / "raw.exr").read_bytes()
+
+
 def test_errors_of_both_films_are_part_of_the_error_of_a_difference(
     folders: dict[str, Path],
 ) -> None:
@@ -229,14 +258,15 @@ def test_errors_of_both_films_are_part_of_the_error_of_a_difference(
     result = pixsim.compare_results(folders["quiet"], folders["noisy"])
     a, b = replace(result.a, film_delta_e=100.0), replace(result.b, film_delta_e=200.0)
     wide = replace(result, a=a, b=b)
-    assert wide.film_delta_e == 300.0
+    assert wide.light_delta_e == 300.0
     assert "cannot be told apart" in wide.as_dict()["verdicts"][0]
 
 
 def test_studies_are_paired_at_each_size(folders: dict[str, Path]) -> None:
     result = pixsim.compare_results(folders["study"], folders["noisier"])
-    assert [each.place["pitch_um"] for each in result.differences] == TINY["pitch"]["values_um"]
-    assert {each.pairs.a.size for each in result.differences} == {2}
+    pitches_um = [placed.place["pitch_um"] for placed in result.differences]
+    assert pitches_um == TINY["pitch"]["values_um"]
+    assert {placed.difference.a.size for placed in result.differences} == {2}
 
 
 # A file, its changed content or none, and the cause.
@@ -278,8 +308,15 @@ def test_a_damaged_result_is_named(
 
 
 @pytest.mark.parametrize(
-    ("name", "text"), [("other", "random streams"), ("study", "a run and a study")]
+    ("name", "options", "text"),
+    [
+        ("study", {}, "a run and a study"),
+        ("quiet", {}, "twice"),
+        ("noisy", {"repeats": 4, "seed": 1}, "got repeats, seed; allowed: none beside a result"),
+    ],
 )
-def test_results_without_pairs_are_refused(name: str, text: str, folders: dict[str, Path]) -> None:
+def test_results_without_differences_are_refused(
+    name: str, options: dict[str, Any], text: str, folders: dict[str, Path]
+) -> None:
     with pytest.raises(PixsimError, match=text):
-        pixsim.compare_results(folders["quiet"], folders[name])
+        pixsim.compare_results(folders["quiet"], folders[name], **options)

@@ -44,7 +44,7 @@ from pixsim.verification.ladder import NOT_TAKEN
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.setting import Run
+from pixsim.viewer.setting import Run, RunScene
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import ROWS, Default, UserSettings, effect_notes, record_with
 
@@ -544,18 +544,20 @@ def test_notes_name_the_sensors_unless_all_have_them() -> None:
             "exposure.well_target changes",
         ),
         (
-            lambda _: prepare_run("csf", Run(correction=Correction(flat_level=0.3))),
+            lambda _: prepare_run(
+                Run(scene=RunScene(file="csf"), correction=Correction(flat_level=0.3))
+            ),
             "correction.flat_level changes",
         ),
         (
             lambda light: prepare_run(
-                light,
                 Run(
+                    scene=RunScene(file=light),
                     camera=CameraOptions(die_mm=DIE_MM),
                     display=Display(dots=SIDE),
                     render_noise=0.1,
                     tolerance_e=1e-4,
-                ),
+                )
             ),
             "tolerance_e, render_noise change",
         ),
