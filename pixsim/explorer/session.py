@@ -20,6 +20,7 @@ from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.hashes import content_hash
 from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.layers import Layer
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Progress
 from pixsim.base.toml import SETTINGS_FILE, packaged
@@ -41,14 +42,14 @@ from pixsim.show.render import text
 from pixsim.studies.design import metrics_of
 from pixsim.studies.prepare import Job
 from pixsim.studies.run import RenderedRun, RunResult, prepare, render_run, score_run
-from pixsim.viewer.merging import merge
+from pixsim.viewer.merging import merge, merged, of_last_scene
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes
 from pixsim.viewer.score import converged
 from pixsim.viewer.screen import HEADER_OF_WHITE
 from pixsim.viewer.setting import Run
-from pixsim.viewer.settings_file import run_settings, scene_options
+from pixsim.viewer.settings_file import run_settings, scene_options, settings_layer
 
 MAX_LIGHTS = 3  # in memory
 MAX_SENSORS = 2  # side by side
@@ -125,11 +126,12 @@ class Session:
         self._points: dict[str, list[float]] = {}
         self.light = self.source if isinstance(self.source, SpectralImage) else None
         file = self.source if isinstance(self.source, str) else None
-        if self.source is None and run_settings(self.config, self.tables).scene.file is None:
+        layers = [settings_layer(path) for path in self.config]
+        if self.source is None and not any(layer.sets(("scene", "file")) for layer in layers):
             file = "csf"
         tables = merge(dict(self.tables), {"scene": scene_options(file, {})})
-        start = run_settings(self.config, tables)
-        self.presets = presets_of(self.config, tables, start.scene.model_dump(exclude_unset=True))
+        scene = merged(of_last_scene([*layers, Layer(tables)])).get("scene", {})
+        self.presets = presets_of(self.config, tables, scene)
         self.controls = controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
         self.title = first.file if self.light is None else "light in memory"
