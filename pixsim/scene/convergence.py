@@ -38,7 +38,6 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, with_metered_gain
 from pixsim.sensor.technology import load_technology
-from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.setting import Effort
 
 # Target of the noise over the sensor's, where no answer depends on the light.
@@ -65,6 +64,7 @@ _EARLY = 0.7
 _MAX_GROWTH = 4.0
 _EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
+_MEAN_DELTA_E = "mean_delta_e"  # first column of the metric ΔE
 AnswerKey = tuple[str, float]  # a metric's first column, and the pixel's pitch in µm
 
 
@@ -393,8 +393,10 @@ class _Demand:
         self.errors = {}
         if self.answers is None:
             return
-        self._is_light = all(quarter.all_have_light for quarter in quarters)
-        if not self._is_light:
+        has_light = [lit for quarter in quarters for lit in quarter.has_light]
+        # A picture that is black as a whole is refused.
+        self._is_light = all(has_light) or not any(has_light)
+        if not all(has_light):
             return
         parts = (0, 1, 2, 3), (0, 1), (2, 3), (0,), (1,), (2,), (3,)
         lights = [
@@ -423,7 +425,7 @@ class _Demand:
             name: (error.error, error.tolerance if math.isfinite(error.tolerance) else None)
             for name, error in worst.items()
         }
-        delta_e, tolerance = limits.pop(DELTA_E.columns[0], (None, None))
+        delta_e, tolerance = limits.pop(_MEAN_DELTA_E, (None, None))
         bias = {name: error.bias for name, error in worst.items() if error.is_corrected}
         return replace(
             noise, delta_e=delta_e, tolerance_delta_e=tolerance, metrics=limits, bias=bias
@@ -658,9 +660,9 @@ class _Quarters:
         return spp
 
     @property
-    def all_have_light(self) -> bool:
-        """Whether no quarter is black."""
-        return all(any(map(self.renderer.has_light, sums)) for sums in self._sums)
+    def has_light(self) -> list[bool]:
+        """Whether each quarter is not black."""
+        return [any(map(self.renderer.has_light, sums)) for sums in self._sums]
 
     def noise(self, pixels: Sequence[PixelPhysics], exposure: Exposure) -> tuple[float, float]:
         """Return the noise of the mean of all quarters, as a fraction of sensor noise and relative,

@@ -164,7 +164,9 @@ class LightRequest:
                 # One of both has no noise.
                 rendered = render(scene, plan=plan)
                 return replace(rendered, background=render(bare, plan=background[1]).image)
-        return render(scene, plan=plan, answers=self.answers, background=background)
+        # Without noise there is nothing to ask: workers do not know functions of the user's.
+        answers = None if plan.samples.exact else self.answers
+        return render(scene, plan=plan, answers=answers, background=background)
 
     def _without_target(self, scene: Scene, across: int) -> Scene:
         """Return a scene without its target, on a film of so many samples across.
