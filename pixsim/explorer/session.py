@@ -42,7 +42,7 @@ from pixsim.show.render import text
 from pixsim.studies.design import metrics_of
 from pixsim.studies.prepare import Job
 from pixsim.studies.run import RenderedRun, RunResult, prepare, render_run, score_run
-from pixsim.viewer.merging import merge, merged, of_last_scene
+from pixsim.viewer.merging import merge, merged, without_replaced_scenes
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes
@@ -130,7 +130,7 @@ class Session:
         if self.source is None and not any(layer.sets(("scene", "file")) for layer in layers):
             file = "csf"
         tables = merge(dict(self.tables), {"scene": scene_options(file, {})})
-        scene = merged(of_last_scene([*layers, Layer(tables)])).get("scene", {})
+        scene = merged(without_replaced_scenes([*layers, Layer(tables)])).get("scene", {})
         self.presets = presets_of(self.config, tables, scene)
         self.controls = controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens

@@ -62,8 +62,8 @@ def pair_sentence(pairs: Difference, film: float | None = 0.0) -> str:
     is_first_better = metric.worse_by(pairs.difference) >= 0
     better, worse = (first, other) if is_first_better else (other, first)
     if not pairs.has_interval:
-        one = f"one {frames}" if isinstance(pairs, Pairs) else "a frame of each"
-        return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in {one}"
+        where = f"one {frames}" if isinstance(pairs, Pairs) else "a frame of each"
+        return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in {where}"
 
     error = pairs.half_width + (film or 0.0)
     amount_words = f"{with_error(size, error)}{unit}"

@@ -68,7 +68,7 @@ from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.merging import merge, of_last_scene
+from pixsim.viewer.merging import merge, without_replaced_scenes
 from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 from pixsim.viewer.without_effect import (
@@ -229,7 +229,7 @@ class _SharedSettings:
 
     def run_of(self, sensor_table: Layer, overrides: Layer | None = None) -> Run:
         """Return the complete settings of a sensor. Raises PixsimError that lists every problem."""
-        layers = of_last_scene([self.lens, sensor_table, *self.layers])
+        layers = without_replaced_scenes([self.lens, sensor_table, *self.layers])
         if overrides is not None:
             layers.append(overrides)
         run: Run = checked(Run, layers)

@@ -51,7 +51,7 @@ from pixsim.sensor.pixel_options import (
 )
 from pixsim.sensor.quantities import Pitch
 from pixsim.viewer.develop_options import check_develop
-from pixsim.viewer.merging import merge, merged, of_last_scene
+from pixsim.viewer.merging import merge, merged, without_replaced_scenes
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
@@ -931,7 +931,7 @@ def study_layers(
         layers.append(layer)
     source = sensors[-1].source if sensors else ""
     layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
-    layers[len(studies) :] = of_last_scene(layers[len(studies) :])
+    layers[len(studies) :] = without_replaced_scenes(layers[len(studies) :])
 
     # From the last layer to the first, so that what is void in a later layer makes nothing void
     # before it.

@@ -52,7 +52,7 @@ def _table_without(table: object, names: Iterable[str]) -> object:
     return {name: value for name, value in table.items() if name not in names}
 
 
-def of_last_scene(layers: Sequence[Layer]) -> list[Layer]:
+def without_replaced_scenes(layers: Sequence[Layer]) -> list[Layer]:
     """Return layers without the scenes that a later one replaces: parameters go with the file of
     their scene.
 

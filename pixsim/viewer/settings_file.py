@@ -15,7 +15,7 @@ from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import as_file_names
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import without_uncertainty
-from pixsim.viewer.merging import of_last_scene
+from pixsim.viewer.merging import without_replaced_scenes
 from pixsim.viewer.setting import Run, RunScene
 
 ASSETS = "assets"  # the parameter of a scene that names a folder
@@ -116,7 +116,7 @@ def run_settings(
     options : tables and fields of `Run`
     """
     files = [settings_layer(path) for path in listed(config)]
-    settings: Run = checked(Run, of_last_scene([*files, Layer(plain_tables(options))]))
+    settings: Run = checked(Run, without_replaced_scenes([*files, Layer(plain_tables(options))]))
     return settings
 
 

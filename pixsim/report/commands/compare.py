@@ -66,9 +66,9 @@ def comparison_files(
     Raises PixsimError for invalid input and for a folder that cannot be written, before anything is
     rendered.
     """
-    of_sensors = {name: prepare_options[name] for name in ("match", "uncertainty", "sobol")}
+    sensor_options = {name: prepare_options[name] for name in ("match", "uncertainty", "sobol")}
     names_scene = "file" in options.get("scene", {})
-    if not (study or axes or names_scene or any(of_sensors.values())) and are_results(sensors):
+    if not (study or axes or names_scene or any(sensor_options.values())) and are_results(sensors):
         return _results_files(
             sensors,
             options,
