@@ -134,7 +134,7 @@ class AnswerError:
         )
 
     @classmethod
-    def of_halves(cls, value: float, halves: Sequence[float]) -> AnswerError:
+    def from_halves(cls, value: float, halves: Sequence[float]) -> AnswerError:
         """Return the error of the number of a render from those of its two halves alone."""
         return cls(
             bias=float(np.mean(halves)) - value,
@@ -393,7 +393,7 @@ class _Demand:
         self.errors = {}
         if self.answers is None:
             return
-        has_light = [lit for quarter in quarters for lit in quarter.has_light]
+        has_light = [light for quarter in quarters for light in quarter.has_light]
         # A picture that is black as a whole is refused.
         self._is_light = all(has_light) or not any(has_light)
         if not all(has_light):

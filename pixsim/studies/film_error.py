@@ -682,7 +682,7 @@ class FilmSteps:
         if len(self.halves_delta_e) != len(other.halves_delta_e) or not self.halves_delta_e:
             return 0.0
         difference, *halves = np.subtract(other.halves_delta_e, self.halves_delta_e).tolist()
-        return AnswerError.of_halves(difference, halves).error
+        return AnswerError.from_halves(difference, halves).error
 
     def _error_of(
         self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, dot_samples: float

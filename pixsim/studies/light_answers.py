@@ -69,8 +69,13 @@ class LightAnswers:
             ]
             for imaging in self.measured
         ]
-        asked = [metric.digest() for metric in self.metrics.chosen]
-        return [pixels, asked, self.metrics.options.model_dump(mode="json"), self.tolerance_delta_e]
+        digests = [metric.digest() for metric in self.metrics.chosen]
+        return [
+            pixels,
+            digests,
+            self.metrics.options.model_dump(mode="json"),
+            self.tolerance_delta_e,
+        ]
 
     def tolerance(self, key: AnswerKey, value: float) -> float:
         """Return the largest error of a number that is tolerated."""
