@@ -108,6 +108,7 @@ GOOD: dict[str, Any] = {
     "ideal": PLANE, "light": LIGHT, "pixels": lambda: [PIXEL],
     "exposures": 2, "total_s": 0.1, "quantity": "row_noise_e", "chosen": LensOptions(), "pitches_um": [5.0, 10.0],
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
+    "charge_e": 100.0, "contrast": 0.1, "deviation_a_e": 1.0, "deviation_b_e": 1.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
     "pixsim.score_pictures.image": PLANE,
@@ -135,6 +136,7 @@ OWN: dict[str, Any] = {
     **dict.fromkeys((f"pixsim.metrics.{name}.frequency_cy_per_mm" for name in (
         "information_bits_per_mm2", "folded_spectrum")), np.linspace(-50.0, 50.0, 5)),
     **dict.fromkeys((f"pixsim.metrics.{name}.picture" for name in ("edge_mtf", "radial_spectrum")), RATIO_ROUNDING),
+    "pixsim.snr_db.reading": None, "pixsim.metrics.contrast_detection_probability.mean_e": 100.0,
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.
@@ -153,7 +155,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 MADE_BY_FUNCTIONS = (  # not by users
-    "EdgeResponse", "Frame", "FrameScore", "Optimum", "Plan", "PixelPhysics", "RawFrame", "Readout", "Score", "Sensor",
+    "DynamicRange", "EdgeResponse", "Frame", "FrameScore", "Optimum", "Plan", "PixelPhysics", "RawFrame", "Readout", "Score", "Sensor",
 )  # fmt: skip
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",

@@ -109,7 +109,8 @@ def _likelihood_weights(
     readings = readout.readings
     relative: list[Array] = []
     for reading, is_valid in zip(readings, valid, strict=True):
-        relative.append(is_valid / (reading.noise_e**2 + reading.rounding_e2))
+        charge_e = reading.response * level_e + reading.dark_e(integration_s)
+        relative.append(is_valid / (reading.noise_e**2 + reading.rounding_e2(charge_e)))
 
     # Of readings of the photodiode alone, or with the capacitor.
     branches = {
@@ -152,7 +153,8 @@ def _likelihood_weights(
 def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> list[Array]:
     """Return the charges of the codes of readings, with dark charge, (...) each."""
     return [
-        (code - reading.readout.adc.black_level_dn) / reading.readout.dn_per_e
+        (reading.readout.adc.levels_of(code) - reading.readout.adc.black_level_dn)
+        / reading.readout.dn_per_e
         for code, reading in zip(codes, readout.readings, strict=True)
     ]
 
@@ -246,7 +248,10 @@ def covariances_e2(
             if first.overflow and second.overflow:
                 shared_e2 = shared_e2 + capacitor_e
             if row == column:
-                shared_e2 = shared_e2 + first.noise_e**2 + (first.rounding_e2 if rounding else 0.0)
+                shared_e2 = shared_e2 + first.noise_e**2
+                if rounding:
+                    charge_e = first.response * level_e + first.dark_e(integration_s)
+                    shared_e2 = shared_e2 + first.rounding_e2(charge_e)
             covariance[row, column] = shared_e2 / (first.response * second.response)
     return covariance
 
@@ -552,7 +557,8 @@ def estimated_variance_e2(
     total_e2 = np.zeros(estimate_e.shape)
     shared: dict[tuple[int, bool], tuple[Reading, Array]] = {}
     for reading, weight in zip(readout.readings, weights, strict=True):
-        noise_e2 = count * (reading.noise_e**2 + reading.rounding_e2)
+        charge_e = reading.response * estimate_e + reading.dark_e(integration_s)
+        noise_e2 = count * (reading.noise_e**2 + reading.rounding_e2(charge_e / count))
         total_e2 += (weight / reading.response) ** 2 * noise_e2
         branches = [(reading.collector, False)]
         if reading.overflow and reading.capacitor_dark_e_per_s:

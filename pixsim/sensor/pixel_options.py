@@ -37,6 +37,8 @@ from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.unit_slips import slip_hint
 
 NO_TECHNOLOGY = "none"
+_Level = Annotated[int, Field(ge=0, lt=2**24)]
+_Knees = Annotated[tuple[tuple[_Level, _Level], ...], Field(max_length=64)]
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give
 # are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
@@ -436,6 +438,16 @@ class PixelOptions(Record):
             " `pixsim datasheet` uses at least 6 standard deviations of the dark signal"
         ),
     )
+    companding: Annotated[
+        Literal["imx585", "automotive_24"] | _Knees | None, Number("imx585", is_certain=True)
+    ] = Field(
+        None,
+        description=(
+            "codes on straight lines between knees, [linear DN, code] of whole, rising numbers; or"
+            " 'imx585' (12 bits of 16) or 'automotive_24' (12 bits of 24). bits counts linear DN"
+            " (absent: linear codes)"
+        ),
+    )
     readout: Annotated[
         ReadoutOptions | None, Number({"kind": "staggered", "ratio": 16.0}, is_certain=True)
     ] = Field(
@@ -469,12 +481,25 @@ class PixelOptions(Record):
                 f" '{self.conversion}'; the full well is solved for a linear pixel that clips"
                 " (well_limit = 'swing', conversion = 'linear'). Give full_well_e instead"
             )
-        if self.is_read_several_times and not is_linear:
+        if self.has_readings and not is_linear:
             raise ValueError(
-                f"got a readout of several readings with well_limit = '{self.well_limit}' and"
-                f" conversion = '{self.conversion}'; allowed: well_limit = 'swing' and conversion ="
-                " 'linear'"
+                "got a readout of several readings, or companding, with well_limit ="
+                f" '{self.well_limit}' and conversion = '{self.conversion}'; allowed: well_limit ="
+                " 'swing' and conversion = 'linear'"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _knees_rise(self) -> Self:
+        if isinstance(self.companding, tuple):
+            steps = zip(self.companding, self.companding[1:], strict=False)
+            if len(self.companding) < 2 or any(
+                high[0] - low[0] < high[1] - low[1] or low[1] >= high[1] for low, high in steps
+            ):
+                raise ValueError(
+                    f"got companding of {len(self.companding)} knees; allowed: at least two pairs"
+                    " [linear DN, code], rising, with at most one code for each linear DN"
+                )
         return self
 
     @model_validator(mode="after")
@@ -487,9 +512,10 @@ class PixelOptions(Record):
         return self
 
     @property
-    def is_read_several_times(self) -> bool:
-        """Whether the pixel has several readings."""
-        return self.readout is not None and not self.readout.is_single
+    def has_readings(self) -> bool:
+        """Whether the pixel has readings whose codes need a merge, or a decoder."""
+        is_single = self.readout is None or self.readout.is_single
+        return not is_single or self.companding is not None
 
     @property
     def bin_side(self) -> int:

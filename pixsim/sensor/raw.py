@@ -83,7 +83,8 @@ class RawFrame:
     saturated : (rows, columns) which pixels of a burst were full in any of its subexposures, as in
         a `Frame`
     readings : of pixels that are read several times, whose readings are one below the other in
-        `dn`: gain, black and white level, response and dark electrons of each, by its name
+        `dn`: gain, black and white level, response and dark electrons of each, by its name. Levels
+        and gain are those of linear numbers, which `knees` have for companded codes
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -96,18 +97,13 @@ class RawFrame:
     saturated_fraction: SaturatedFraction | None = None
     layout: Layout | None = None
     saturated: NDArray[np.bool_] | None = None
-    readings: dict[str, dict[str, float]] | None = None
+    readings: dict[str, dict[str, Any]] | None = None
 
-    def reading(self, name: str) -> NDArray[Any]:
-        """Return the digital numbers of one of several readings, (rows, columns).
-
-        Raises PixsimError if the file has no such reading.
-        """
+    @property
+    def readings_dn(self) -> dict[str, NDArray[Any]]:
+        """Digital numbers of each of several readings, (rows, columns), by its name."""
         names = list(self.readings or {})
-        if name not in names:
-            allowed = ", ".join(names) or "a file of several readings"
-            raise invalid("reading", f"'{name}'", allowed)
-        return np.array_split(self.dn, len(names))[names.index(name)]
+        return dict(zip(names, np.array_split(self.dn, max(len(names), 1)), strict=False))
 
     @property
     def top_code_fraction(self) -> float | None:
@@ -141,6 +137,7 @@ ENCODING = "encoding"  # what a file states about a display's encoding of its va
 LAYOUT = "layout"
 SATURATED = "saturated"
 READINGS = "readings"
+_KNEES = "knees"
 _BLACK_LEVEL = "black_level_dn"
 FACTS = (
     "black_level_dn",
@@ -186,7 +183,7 @@ def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     return metadata
 
 
-def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
+def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, Any]]:
     """Return what turns the codes of each reading into electrons of light, by its name."""
     count = frame.exposures
     return {
@@ -194,6 +191,7 @@ def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
             "dn_per_e": reading.readout.dn_per_e,
             "black_level_dn": count * reading.readout.adc.black_level_dn,
             "white_level_dn": count * reading.readout.adc.top_code_dn,
+            _KNEES: reading.readout.adc.knees,
             "response": reading.response,
             "dark_e": reading.dark_e(frame.integration_s),
         }
@@ -201,12 +199,14 @@ def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
     }
 
 
-def _readings_of(metadata: dict[str, Any]) -> dict[str, dict[str, float]] | None:
+def _readings_of(metadata: dict[str, Any]) -> dict[str, dict[str, Any]] | None:
     """Return the facts of several readings that a file states, if they are such facts."""
     with suppress(KeyError, TypeError, ValueError, AttributeError, RecursionError):
         stated = json.loads(str(metadata[READINGS]))
         return {
-            str(name): {fact: float(value) for fact, value in facts.items()}
+            str(name): {
+                fact: value if fact == _KNEES else float(value) for fact, value in facts.items()
+            }
             for name, facts in stated.items()
         }
     return None

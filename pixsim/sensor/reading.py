@@ -13,10 +13,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, NotNegative, Positive
 from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
+from pixsim.sensor.companding import Knees, decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread
 from pixsim.sensor.noise import constant_e, variance_e2
@@ -46,12 +51,37 @@ class Adc:
     black_level_dn : code without a signal
     gain_e_per_dn : electrons per code; without it the codes above the black level span `span_e`
     span_e : signal at the top code, where no gain is stated
+    knees : (linear DN, code) of companding, or None; all codes here are linear
     """
 
     bits: FrameBits
     black_level_dn: NotNegative
     gain_e_per_dn: Positive | None = None
     span_e: Positive | None = None
+    knees: Knees | None = None
+
+    def codes_of(self, level_dn: Array) -> NDArray[np.int32]:
+        """Return the companded codes of linear levels, (...)."""
+        assert self.knees is not None
+        return encode(np.clip(level_dn, 0.0, self.top_code_dn), self.knees)
+
+    def levels_of(self, codes: NDArray[Any]) -> NDArray[Any]:
+        """Return the linear levels of codes, (...)."""
+        return codes if self.knees is None else decode(codes, self.knees)
+
+    def rounding_e2(self, charge_e: Array, dn_per_e: float) -> Array | float:
+        """Return the variance by rounding of charges, (...), in electrons, at a gain."""
+        if self.knees is None:
+            return 1 / 12 / dn_per_e**2
+        level_dn = self.black_level_dn + dn_per_e * charge_e
+        return steps_dn(level_dn, self.knees) ** 2 / 12 / dn_per_e**2
+
+    @property
+    def last_code_dn(self) -> int:
+        """Highest code of a file, companded or not."""
+        if self.knees is None:
+            return self.top_code_dn
+        return int(self.codes_of(np.array([float(self.top_code_dn)]))[0])
 
     @property
     def top_code_dn(self) -> int:
@@ -86,15 +116,18 @@ def _adc_of(physics: PixelPhysics, pixels: int) -> Adc:
     """
     pixel = physics.pixel
     black_dn = pixel.black_level_dn or 0.0
+    knees = pixel.companding
+    if isinstance(knees, str):
+        knees = packaged_knees(knees)
     gain_e_per_dn = pixel.stated_gain_e_per_dn
     if gain_e_per_dn is not None:
         summed_e_per_dn = pixels * (physics.growth * gain_e_per_dn)
-        return Adc(pixel.bits, black_dn, gain_e_per_dn=summed_e_per_dn)
+        return Adc(pixel.bits, black_dn, gain_e_per_dn=summed_e_per_dn, knees=knees)
 
     span_e = physics.full_well_e
     if pixel.adc_full_scale_e is not None:
         span_e = physics.growth * pixel.adc_full_scale_e
-    return Adc(pixel.bits, black_dn, span_e=pixels * span_e)
+    return Adc(pixel.bits, black_dn, span_e=pixels * span_e, knees=knees)
 
 
 @checked_methods
@@ -134,6 +167,12 @@ class Readout:
 
     def __post_init__(self) -> None:
         """Raise PixsimError if the codes of a frame have more than 31 bits."""
+        if self.adc.knees is not None and self.exposures > 1:
+            raise invalid(
+                "exposure.frames",
+                f"{self.exposures} with pixel.companding",
+                "1, since sums of companded codes have no meaning",
+            )
         if self.code_bits > MAX_CODE_BITS:
             got = (
                 f"{self.exposures} exposures of {self.adc.bits} bits, whose sum has"
@@ -176,9 +215,8 @@ class Readout:
         before_e, after_e = read_noises_e(physics.pixel, physics.technology)
         readout = cls(physics, _adc_of(physics, bin_side**2), before_e, after_e, bin_side=bin_side)
         readout = readout._with_black_level()
-        if physics.pixel.is_read_several_times:
-            assert physics.pixel.readout is not None
-            readout = _with_readings(readout, physics.pixel.readout)
+        if physics.pixel.has_readings:
+            readout = _with_readings(readout, physics.pixel.readout or ReadoutOptions())
         return readout if exposure is None else readout.at(exposure)
 
     def at(self, exposure: Exposure) -> Readout:
@@ -193,7 +231,7 @@ class Readout:
         """
         if gain_db == self.gain_db:
             return self
-        return self.with_all(lambda other: replace(other, gain_db=gain_db)._with_black_level())
+        return with_all(self, lambda other: replace(other, gain_db=gain_db)._with_black_level())
 
     def _with_black_level(self) -> Readout:
         """Return the reading with the black level of a data sheet that states none: 6 σ of the dark
@@ -216,13 +254,6 @@ class Readout:
             return 0.0
         return self.adc.black_level_dn / self.dn_per_e
 
-    def with_all(self, change: Callable[[Readout], Readout]) -> Readout:
-        """Return this record and its readings, each changed by a function."""
-        readings = tuple(
-            replace(reading, readout=change(reading.readout)) for reading in self.readings
-        )
-        return replace(change(self), readings=readings)
-
     def burst(self, exposures: Count) -> Readout:
         """Return the reading of frames that are the sum of subexposures. Raises PixsimError as
         `Readout` does.
@@ -241,8 +272,8 @@ class Readout:
         """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC
         stays.
         """
-        return self.with_all(
-            lambda other: replace(other, physics=replace(other.physics, **numbers))
+        return with_all(
+            self, lambda other: replace(other, physics=replace(other.physics, **numbers))
         )
 
     def with_silent(self, names: tuple[str, ...]) -> Readout:
@@ -250,7 +281,7 @@ class Readout:
 
         names : of these sources
         """
-        return self.with_all(lambda other: replace(other, silent=names))
+        return with_all(self, lambda other: replace(other, silent=names))
 
     @property
     def _pixels(self) -> int:
@@ -463,16 +494,16 @@ class Reading:
         """Temporal noise behind the limit: reset, read and row noise, without rounding."""
         return self.readout.noise_floor_e
 
-    @property
-    def rounding_e2(self) -> float:
-        """Variance by rounding, in electrons."""
-        return float(self.readout.rounding_variance_dn2 / self.readout.dn_per_e**2)
+    def rounding_e2(self, charge_e: Array) -> Array | float:
+        """Return the variance by rounding of charges, (...), in electrons."""
+        return self.readout.adc.rounding_e2(charge_e, self.readout.dn_per_e)
 
     def valid_below_e(self, sigmas: float) -> float:
         """Return the charge below which the reading is valid: so many standard deviations of the
         noise behind the limit below it, offsets and rounding included.
         """
-        spread_e = math.hypot(self.noise_e, self.readout.offset_e, math.sqrt(self.rounding_e2))
+        rounding_e = math.sqrt(float(self.rounding_e2(np.asarray(self.limit_e))))
+        spread_e = math.hypot(self.noise_e, self.readout.offset_e, rounding_e)
         return self.limit_e - sigmas * spread_e
 
     def dark_e(self, integration_s: float) -> float:
@@ -487,6 +518,14 @@ class Reading:
         """Return the time at the centre of its exposure, after the start of the first one."""
         start_s = self.start_share * integration_s + self.start_s
         return start_s + self.length_share * integration_s / 2
+
+
+def with_all(readout: Readout, change: Callable[[Readout], Readout]) -> Readout:
+    """Return a record and its readings, each changed by a function."""
+    readings = tuple(
+        replace(reading, readout=change(reading.readout)) for reading in readout.readings
+    )
+    return replace(change(readout), readings=readings)
 
 
 def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:

@@ -589,8 +589,11 @@ def _read_level(
     level *= readout.dn_per_e * (1 + gain_error)
     if readout.adc.black_level_dn or black_error_dn:
         level += readout.adc.black_level_dn + black_error_dn
-    _quantise(level, readout.adc.bits, dn)
-    at_top = dn >= readout.adc.top_code_dn
+    if readout.adc.knees is None:
+        _quantise(level, readout.adc.bits, dn)
+    else:
+        dn[...] = readout.adc.codes_of(level)
+    at_top = dn >= readout.adc.last_code_dn
     return is_full | at_top, int(np.count_nonzero(is_saturating | at_top))
 
 

@@ -288,7 +288,7 @@ def _numbers(values: tuple[float, ...] | None, count: int) -> tuple[float | None
 
 
 def _single(_: ReadoutOptions) -> _Model:
-    return (), ()
+    return (CollectorOptions(name="pixel"),), (ReadingOptions(name="pixel", collector="pixel"),)
 
 
 def _dual_gain(options: ReadoutOptions) -> _Model:

@@ -533,7 +533,7 @@ def _cached_frame(
     """Return the cached arrays of a frame (rows, columns), by `_DN` and so on, or None if one is
     missing.
     """
-    is_merged = imaging.pixel.is_read_several_times
+    is_merged = imaging.pixel.has_readings
     pictures = [] if is_merged else [_DN]
     if imaging.correction.is_on or is_merged:
         pictures.append(_CORRECTED)

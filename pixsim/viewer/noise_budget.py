@@ -46,7 +46,7 @@ from pixsim.sensor.merge import merged_variance_e2
 from pixsim.sensor.motion import NO_IMAGE_MOTION, ImageMotion
 from pixsim.sensor.noise import SOURCES, variances_e2, without_source
 from pixsim.sensor.quantities import MAX_CODE_BITS
-from pixsim.sensor.reading import Adc, Readout
+from pixsim.sensor.reading import Adc, Readout, with_all
 from pixsim.sensor.readout import Frame, make_frame, with_shared_time
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.develop import white_y, xyz_weights
@@ -260,7 +260,7 @@ def finer_adc(readout: Readout) -> Readout:
     """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes
     have the bits.
     """
-    return readout.with_all(_finer_adc)
+    return with_all(readout, _finer_adc)
 
 
 def _finer_adc(readout: Readout) -> Readout:

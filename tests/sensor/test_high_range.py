@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 import pixsim
 from pixsim import Pixel, PixsimError
+from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.correction import correct, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
@@ -233,6 +234,86 @@ def test_numbers_of_several_readings(claim: Claim) -> None:
     claim.check()
 
 
+IMX585 = packaged_knees("imx585")
+AUTOMOTIVE = packaged_knees("automotive_24")
+
+
+def rounding_snr_db(level_dn: float) -> float:
+    """Of rounding alone, by the 24-bit table."""
+    step_dn = float(steps_dn(np.array(level_dn), AUTOMOTIVE))
+    return 20 * math.log10(level_dn / (step_dn / math.sqrt(12)))
+
+
+COMPANDING = [
+    Claim(
+        "codes of knees and of the end of 16 bits",
+        lambda: encode(np.array([500.0, 11_500.0, 65_535.0]), IMX585),
+        [500, 3250, 4094],
+    ),
+    Claim(
+        "rounding on the second and third line, in linear DN",
+        lambda: steps_dn(np.array([600.0, 3e4]), IMX585) / math.sqrt(12),
+        [1.15, 18.5],
+        atol=0.05,
+        why=LAST_DIGIT,
+    ),
+    Claim("24 bits, above 256", lambda: rounding_snr_db(256.0), 49.4, atol=0.1, why=LAST_DIGIT),
+    Claim("below 174 630", lambda: rounding_snr_db(174_629.0), 71.6, atol=0.1, why=LAST_DIGIT),
+]
+
+
+LEVELS_E = np.array([100.0, 1000.0, 10_000.0])
+COMPANDING += [
+    Claim(
+        "contrast detection of 10 % with 2 e- of read noise",
+        lambda: pixsim.metrics.contrast_detection_probability(
+            LEVELS_E, 0.1, np.sqrt(LEVELS_E + 4), np.sqrt(1.1 * LEVELS_E + 4)
+        ),
+        [0.2533, 0.7009, 0.9990],
+        atol=5e-5,
+        why=LAST_DIGIT,
+    )
+]
+
+
+def test_contrast_detection_is_the_share_of_pairs_of_pixels() -> None:
+    rng = seeded(8)
+    a, b = rng.normal(400, 25, 400_000), rng.normal(480, 20, 400_000)
+    contrast = b / a - 1
+    share = np.mean((contrast > 0.1) & (contrast < 0.3))
+    expected = pixsim.metrics.contrast_detection_probability(400.0, 0.2, 25.0, 20.0)
+    assert abs(share - float(expected)) < 4 * math.sqrt(0.25 / 400_000)
+
+
+@pytest.mark.parametrize("claim", COMPANDING, ids=str)
+def test_numbers_of_companding(claim: Claim) -> None:
+    claim.check()
+
+
+@pytest.mark.parametrize("knees", [IMX585, AUTOMOTIVE], ids=["imx585", "automotive_24"])
+def test_decoding_returns_levels_within_half_a_step(knees: Any) -> None:
+    """Of the coarser line that the code touches."""
+    level_dn = np.unique(np.geomspace(1, knees[-1][0], 20_000).round())
+    codes = encode(level_dn, knees)
+    coarser = np.maximum(steps_dn(level_dn, knees), steps_dn(decode(codes, knees), knees))
+    assert np.all(np.abs(decode(codes, knees) - level_dn) <= coarser / 2 + 1e-6)
+    assert np.array_equal(encode(decode(codes, knees), knees), codes)
+
+
+def test_companded_frames_have_their_rounding() -> None:
+    """A variance of s²/12 linear DN² beside that of linear codes; files have knees and codes."""
+    sheet = {"full_well_e": 60_000, "read_noise_e": 2, "black_level_dn": 200, "bits": 16}
+    companded = pixel(None, companding="imx585", **sheet)
+    for level_e, step_dn in ((5000.0, 4.0), (40_000.0, 64.0)):
+        frame = frame_of(companded, level_e)
+        rounding_e2 = (step_dn * 60_000 / (65_535 - 200)) ** 2 / 12
+        variance_e2 = level_e + 4 + rounding_e2
+        assert frame.estimate_e.var() == pytest.approx(variance_e2, rel=0.025)
+        assert frame.estimate_variance_e2.mean() == pytest.approx(variance_e2, rel=0.01)
+        assert abs(frame.estimate_e.mean() - level_e) < 4 * math.sqrt(variance_e2 / 80_000)
+    assert frame.readings["pixel"].max() <= 4094
+
+
 # Kinds with their options, levels between switches and near one, electrons.
 DARK = {"dark_current_e_per_s": 500, "black_level_dn": 64}
 KINDS: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
@@ -369,8 +450,8 @@ def test_raw_files_have_the_readings_one_below_the_other(tmp_path: Path, suffix:
     raw = pixsim.read_frame(tmp_path / f"raw{suffix}")
     assert raw.readings is not None
     low = raw.readings["low"]
-    electrons = (raw.reading("low").astype(float) - low["black_level_dn"]) / low["dn_per_e"]
-    assert np.array_equal(raw.reading("high"), frame.readings["high"])
+    electrons = (raw.readings_dn["low"].astype(float) - low["black_level_dn"]) / low["dn_per_e"]
+    assert np.array_equal(raw.readings_dn["high"], frame.readings["high"])
     assert electrons.mean() == pytest.approx(1000, rel=0.005)
 
 

@@ -161,6 +161,7 @@ MOVES: dict[str, Any] = {
     "pixel.hot_pixel_spread": 1.5, "pixel.dsnu_e": 50.0, "pixel.offset_fpn": 0.01, "pixel.a_vt_mv_um": 5.0,
     "pixel.follower_area_um2": 1.0, "pixel.column_fpn": 0.01, "pixel.bits": 8, "pixel.black_level_dn": 20.0,
     "pixel.temperature_k": 340.0, "pixel.readout": {"kind": "staggered", "ratio": 16.0},
+    "pixel.companding": [[0, 0], [50, 50], [4096, 100]],
     "pixel.technology": ("0.18um", "4t-fsi", "4t-bsi"), "pixel.pitch_um": 5.8,
     "pixel.registration": [0.25, 0.75], "pixel.stack": {"height_um": 6.5, "index": 1.5},
     "pixel.stack.enabled": (False, True), "pixel.stack.height_um": 7.0, "pixel.stack.index": 1.9,

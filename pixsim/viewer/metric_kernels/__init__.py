@@ -3,11 +3,15 @@
 `linear_observer` (a target in a raw frame) and `non_prewhitening` (one in a shown picture),
 `information_density` (bits per area of the sensor), `sharpness` (MTF of an edge, MTF50, acutance),
 `visible_noise` (of the shown picture), `snr_illuminance` (the light for an SNR of 10),
-`interpretability` (NIIRS). Names are imported on first use.
+`interpretability` (NIIRS), `contrast_detection` (CDP of two patches). Names are imported on first
+use.
 """
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from pixsim.viewer.metric_kernels.contrast_detection import (
+        contrast_detection_probability as contrast_detection_probability,
+    )
     from pixsim.viewer.metric_kernels.information_density import (
         folded_spectrum as folded_spectrum,
         information_bits_per_mm2 as information_bits_per_mm2,
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.metric_kernels.visible_noise import visual_noise as visual_noise
 
 _NAMES_OF = {
+    "contrast_detection": "contrast_detection_probability",
     "information_density": (
         "folded_spectrum information_bits_per_mm2 natural_spectrum neq radial_spectrum"
     ),
