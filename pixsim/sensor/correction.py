@@ -277,7 +277,7 @@ def residual_variance_e2(
     gain : (PRNU · s)² without flat frames
 
     Of several readings s + T of the temporal part is the variance of their merge, and T elsewhere
-    that of the most sensitive one.
+    belongs to the most sensitive one.
 
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in
     PRNU and 1/√L.

@@ -60,7 +60,7 @@ def _share_of_reading(
 
 
 def _shares(readout: Readout, charges_e: Sequence[Array]) -> list[NDArray[Any]]:
-    """Return `_share_of_reading` of all readings, (...) each; that of the last one is 1.
+    """Return `_share_of_reading` of all readings, (...) each; the last one has a share of 1.
 
     charges_e : of each reading with its dark charge, (...)
     """

@@ -148,7 +148,7 @@ class Readout:
     bin_side : pixels along a side of those whose charge is read as one
     silent : names of noise sources that are switched off
     readings : of a pixel that is read several times, from the most sensitive one on; then all
-        numbers of this record but `saturation_e` are those of the first one
+        numbers of this record but `saturation_e` belong to the first one
     merge : how the readings become one estimate of electrons, or None
 
     Raises PixsimError if the codes of a frame have more than 31 bits.
@@ -456,12 +456,12 @@ class Reading:
     """One of several readings of a pixel, in one exposure.
 
     name : as in `Frame.readings`
-    readout : of its collector up to its limit, which is the full well there; dark current and
-        noise are those of this reading
+    readout : of its collector up to its limit, which is the full well there, with the dark current
+        and the noise of this reading
     collector : number of the collector; readings of one collector share its electrons
     photodiode : number of the photodiode; collectors of one share its fixed pattern
-    response : light that the collector gets in a frame, over that of the first one: area, time and
-        filter
+    response : light that the collector gets in a frame, over the light of the first one: area, time
+        and filter
     length_share : of its exposure, of the integration time
     start_share, start_s : its exposure begins after this share of the integration time, and this
         time
@@ -531,7 +531,7 @@ def with_all(readout: Readout, change: Callable[[Readout], Readout]) -> Readout:
 def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
     """Return a reading of a pixel with all readings of its options, the most sensitive first.
 
-    Charges grow with the area of the photodiode, as those of a data sheet do.
+    Charges grow with the area of the photodiode, as in a data sheet.
 
     readout : what the pixel states itself, at 0 dB
     """
@@ -629,7 +629,7 @@ def _reading_readout(
 ) -> Readout:
     """Return how one reading reads its collector.
 
-    readout : what the pixel states; its gain is that of the first reading
+    readout : what the pixel states; its gain belongs to the first reading
     physics : of the collector
     """
     gain_uv_per_e = reading.conversion_gain_uv_per_e

@@ -358,7 +358,7 @@ class Frame:
 @dataclass(frozen=True, kw_only=True)
 class MergedFrame(Frame):
     """A frame of pixels that are read several times. `corrected_e` has the merged photo-electrons;
-    gain, black level and bits are those of the most sensitive reading.
+    gain, black level and bits belong to the most sensitive reading.
 
     readings : codes of each reading, (rows, columns) int32, by its name; of a burst, sums
     readout : how the pixels are read
@@ -369,7 +369,7 @@ class MergedFrame(Frame):
     readout: Readout = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
-        """Raise PixsimError for `dn`: the codes are those of several readings."""
+        """Raise PixsimError for `dn`: the codes belong to several readings."""
         if name != "dn":
             raise AttributeError(name)
         names = ", ".join(f"readings['{reading}']" for reading in self.readings)
@@ -384,8 +384,9 @@ class MergedFrame(Frame):
     def estimate_variance_e2(self) -> Array:
         """Estimated variance of `estimate_e` over frames of the same sensor, (rows, columns).
 
-        It is that of the weighted readings at the estimate, if it is above 0: of shot noise, dark
-        charge, read noise and rounding. It takes the weights as stated, not as chosen by noise.
+        It is the variance of the weighted readings at the estimate, if it is above 0: of shot
+        noise, dark charge, read noise and rounding. It takes the weights as stated, not as chosen
+        by noise.
         """
         weights = list(self.reading_weights.values())
         return estimated_variance_e2(self.readout, self.estimate_e, self.integration_s, weights)
@@ -936,8 +937,8 @@ def frame_variance_dn2(
     the shape (...) of `mean_e`.
 
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's
-    LSB²/12; valid where `frame_mean_dn` is. Of several readings it is that of the merged electrons,
-    in codes of the most sensitive one.
+    LSB²/12; valid where `frame_mean_dn` is. Of several readings it is the variance of the merged
+    electrons, in codes of the most sensitive one.
     """
     signal_e = np.asarray(mean_e, float)
     if readout.readings:

@@ -38,7 +38,7 @@ _Responses = Annotated[tuple[_Response, ...], BeforeValidator(_as_values)]
 
 
 class CollectorOptions(Record):
-    """A photodiode during one exposure. Values of None are those of the pixel.
+    """A photodiode during one exposure. Values of None come from the pixel.
 
     Collectors that differ in start and length alone are exposures of one photodiode, and share its
     fixed pattern.
@@ -70,7 +70,7 @@ class CollectorOptions(Record):
 
 
 class ReadingOptions(Record):
-    """One reading of the charge of a collector. Values of None are those of the pixel."""
+    """One reading of the charge of a collector. Values of None come from the pixel."""
 
     name: str = Field(description="name, as in Frame.readings")
     collector: str = Field(description="name of the collector that it reads")
