@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated, Literal, Self
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -244,7 +244,7 @@ class ReadoutOptions(Record):
         """Collectors and readings in full."""
         if self.reading:
             return self.collector, self.reading
-        return _MODELS[self.kind](self)
+        return _model(self)
 
 
 def _check_full(options: ReadoutOptions) -> None:
@@ -279,111 +279,55 @@ def _check_full(options: ReadoutOptions) -> None:
         )
 
 
-_Model = tuple[tuple[CollectorOptions, ...], tuple[ReadingOptions, ...]]
+_COLLECTOR_LISTS = "response", "full_well_e", "dark_current_e_per_s"
+_READING_LISTS = "conversion_gain_uv_per_e", "read_noise_e"
 
 
-def _numbers(values: tuple[float, ...] | None, count: int) -> tuple[float | None, ...]:
-    """Return the values of a list, or None for each where it is absent."""
-    return (None,) * count if values is None else values
+def _tables(
+    options: ReadoutOptions, names: Sequence[str], lists: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Return a table for each name, with its number of each list that is stated; the last number is
+    that of all further names.
+    """
+    stated = {field: getattr(options, field) for field in lists if getattr(options, field)}
+    return [
+        {"name": name}
+        | {field: values[min(index, len(values) - 1)] for field, values in stated.items()}
+        for index, name in enumerate(names)
+    ]
 
 
-def _single(_: ReadoutOptions) -> _Model:
-    return (CollectorOptions(name="pixel"),), (ReadingOptions(name="pixel", collector="pixel"),)
+def _model(
+    options: ReadoutOptions,
+) -> tuple[tuple[CollectorOptions, ...], tuple[ReadingOptions, ...]]:
+    """Return collectors and readings of a kind."""
+    names = {
+        "split": ["large", "small"],
+        "staggered": ["long", *(f"short{number}" for number in range(1, options.count))],
+    }.get(options.kind, ["pixel"])
+    is_read_twice = options.kind in ("dual_gain", "overflow")
+    collectors = _tables(options, names, _COLLECTOR_LISTS)
+    readings = _tables(options, ["high", "low"] if is_read_twice else names, _READING_LISTS)
+    for index, table in enumerate(readings):
+        table["collector"] = names[0] if is_read_twice else names[index]
 
-
-def _dual_gain(options: ReadoutOptions) -> _Model:
-    (full_well_e,) = _numbers(options.full_well_e, 1)
-    noises_e = _numbers(options.read_noise_e, 2)
-    assert options.conversion_gain_uv_per_e is not None
-    collector = CollectorOptions(name="pixel", full_well_e=full_well_e)
-    readings = tuple(
-        ReadingOptions(
-            name=name, collector="pixel", conversion_gain_uv_per_e=gain, read_noise_e=noise_e
-        )
-        for name, gain, noise_e in zip(
-            ("high", "low"), options.conversion_gain_uv_per_e, noises_e, strict=True
-        )
-    )
-    return (collector,), readings
-
-
-def _split(options: ReadoutOptions) -> _Model:
-    assert options.response is not None
-    names = "large", "small"
-    wells_e = _numbers(options.full_well_e, 2)
-    currents = _numbers(options.dark_current_e_per_s, 2)
-    gains = _numbers(options.conversion_gain_uv_per_e, 2)
-    noises_e = _numbers(options.read_noise_e, 2)
-    collectors = tuple(
-        CollectorOptions(
-            name=name, response=response, full_well_e=well_e, dark_current_e_per_s=current
-        )
-        for name, response, well_e, current in zip(
-            names, options.response, wells_e, currents, strict=True
-        )
-    )
-    readings = tuple(
-        ReadingOptions(
-            name=name, collector=name, conversion_gain_uv_per_e=gain, read_noise_e=noise_e
-        )
-        for name, gain, noise_e in zip(names, gains, noises_e, strict=True)
-    )
-    return collectors, readings
-
-
-def _staggered(options: ReadoutOptions) -> _Model:
-    assert options.ratio is not None
-    shares = [options.ratio**-number for number in range(options.count)]
-    names = ["long", *(f"short{number}" for number in range(1, options.count))]
-    collectors = tuple(
-        CollectorOptions(
-            name=name,
-            length_share=share,
-            start_s=1e-6 * options.gap_us * number,
-            start_share=sum(shares[:number]),
-        )
-        for number, (name, share) in enumerate(zip(names, shares, strict=True))
-    )
-    noise_e = None if options.read_noise_e is None else options.read_noise_e[0]
-    return collectors, tuple(
-        ReadingOptions(name=name, collector=name, read_noise_e=noise_e) for name in names
+    if options.kind == "staggered":
+        assert options.ratio is not None  # as checked
+        shares = [options.ratio**-number for number in range(options.count)]
+        for index, table in enumerate(collectors):
+            table["length_share"] = shares[index]
+            table["start_share"] = sum(shares[:index])
+            table["start_s"] = 1e-6 * options.gap_us * index
+    if options.kind == "overflow":
+        collectors[0]["capacity_e"] = options.capacity_e
+        collectors[0]["capacitor_dark_e_per_s"] = options.capacitor_dark_e_per_s
+        readings[1] |= {"overflow": True, "resets": options.resets}
+    return (
+        tuple(CollectorOptions(**table) for table in collectors),
+        tuple(ReadingOptions(**table) for table in readings),
     )
 
 
-def _overflow(options: ReadoutOptions) -> _Model:
-    (full_well_e,) = _numbers(options.full_well_e, 1)
-    noises_e = _numbers(options.read_noise_e, 2)
-    assert options.conversion_gain_uv_per_e is not None
-    assert options.capacity_e is not None
-    high, low = options.conversion_gain_uv_per_e
-    collector = CollectorOptions(
-        name="pixel",
-        full_well_e=full_well_e,
-        capacity_e=options.capacity_e,
-        capacitor_dark_e_per_s=options.capacitor_dark_e_per_s,
-    )
-    return (collector,), (
-        ReadingOptions(
-            name="high", collector="pixel", conversion_gain_uv_per_e=high, read_noise_e=noises_e[0]
-        ),
-        ReadingOptions(
-            name="low",
-            collector="pixel",
-            overflow=True,
-            conversion_gain_uv_per_e=low,
-            read_noise_e=noises_e[1],
-            resets=options.resets,
-        ),
-    )
-
-
-_MODELS: dict[str, Callable[[ReadoutOptions], _Model]] = {
-    "single": _single,
-    "dual_gain": _dual_gain,
-    "split": _split,
-    "staggered": _staggered,
-    "overflow": _overflow,
-}
 # Of each kind: its fields, and how many numbers they may have; None for fields that may be absent.
 _NUMBERS: dict[str, dict[str, tuple[int | None, ...]]] = {
     "single": {},
