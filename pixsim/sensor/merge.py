@@ -13,9 +13,8 @@ weights by what is valid: x_k below its limit by some σ_k.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +30,7 @@ _REACH = 6.0  # deviations of a normal law that integrals take in
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _MIN_PASSING = 1e-12  # of full readings
 _UNUSED_E2 = 1e30  # variance of readings that are not valid
+_MIN_WEIGHT = 1e-12  # of a valid reading
 _TABLE_LEVELS = 2048  # more levels are interpolated in a table: a third of a deviation at 1e5 e-
 _TABLE_FROM = 1e-6  # of the brightest level
 _NEIGHBOURS = 3  # pixels along a side of the neighbourhood, of one channel
@@ -246,22 +246,28 @@ def mean_weights(readout: Readout, level_e: Array, integration_s: float, first: 
     return np.stack(merge_weights(readout, charges_e, integration_s, pilot_e))
 
 
+def _switch_charges_e(readout: Readout) -> list[list[float]]:
+    """Return the charges of each reading at which its share has a step or a kink, rising."""
+    assert readout.merge is not None
+    merge = readout.merge
+    shares = (merge.blend_from_share, merge.blend_to_share) if merge.merge == "blend" else ()
+    ends_e = [
+        sorted([below_e, *(share * reading.limit_e for share in shares)])
+        for reading, below_e in zip(readout.readings, _valid_below_e(readout), strict=True)
+    ]
+    return [*ends_e[:-1], [math.inf]]
+
+
 def switch_levels_e(readout: Readout, integration_s: float) -> list[float]:
     """Return the levels at which the merge of the mean charges changes its readings, rising.
 
     integration_s : of one exposure
     """
-    assert readout.merge is not None
-    merge = readout.merge
-    levels: list[float] = []
-    for reading, below_e in zip(readout.readings[:-1], _valid_below_e(readout), strict=False):
-        charges_e = [below_e]
-        if merge.merge == "blend":
-            charges_e += [merge.blend_from_share * reading.limit_e]
-            charges_e += [merge.blend_to_share * reading.limit_e]
-        dark_e = reading.dark_e(integration_s)
-        levels += [(charge_e - dark_e) / reading.response for charge_e in charges_e]
-    return sorted(levels)
+    return sorted(
+        (charge_e - reading.dark_e(integration_s)) / reading.response
+        for reading, charges_e in zip(readout.readings, _switch_charges_e(readout), strict=True)
+        for charge_e in charges_e[: None if math.isfinite(charges_e[-1]) else -1]
+    )
 
 
 def _sum_e2(weights: Array, covariance: Array) -> Array:
@@ -293,62 +299,41 @@ def merged_level(readout: Readout, level_e: Array, integration_s: float) -> Merg
     readings pass as valid, Φ(-validity_sigmas) of them, but err by all that the limit cuts off.
     """
     assert readout.merge is not None
-    merge = readout.merge
     readings = readout.readings
     below_e = _valid_below_e(readout)
     covariance = covariances_e2(readout, level_e, integration_s)
-
-    count, size = len(readings), level_e.size
-    bias_e = np.zeros(size)
-    variance_e2 = np.zeros(size)
-    weights = np.zeros((count, size))
-    is_open = np.ones(size, bool)
-    for number, reading in enumerate(readings):
+    count = len(readings)
+    bias_e = np.zeros(level_e.size)
+    variance_e2 = np.zeros(level_e.size)
+    weights = np.zeros((count, level_e.size))
+    is_open = np.ones(level_e.size, bool)
+    for number, ends_e in enumerate(_switch_charges_e(readout)):
+        reading = readings[number]
         sigma_e = reading.response * np.sqrt(covariance[number, number])
         charge_e = reading.response * level_e + reading.dark_e(integration_s)
-        lowest_e = charge_e - _REACH * sigma_e
-        ends_e = [below_e[number]]
-        if merge.merge == "blend" and math.isfinite(below_e[number]):
-            ends_e += [merge.blend_from_share * reading.limit_e]
-            ends_e += [merge.blend_to_share * reading.limit_e]
-        decides = is_open & (lowest_e < (max(ends_e) if len(ends_e) < 3 else ends_e[2]))
+        decides = is_open & (charge_e - _REACH * sigma_e < ends_e[-1])
         is_open = is_open & ~decides
-        if not decides.any():
+        part = np.flatnonzero(decides)
+        if not part.size:
             continue
 
-        part = np.flatnonzero(decides)
-        level = level_e[part]
-        part_covariance = covariance[:, :, part]
-        if number == count - 1:
-            with_e = without_e = mean_weights(readout, level, integration_s, number)
-        else:
-            without_e = mean_weights(readout, level, integration_s, number + 1)
-            with_e = _weights_with(readout, level, integration_s, number, without_e)
-
-        share = partial(_share_of_reading, reading=reading, below_e=below_e[number], merge=merge)
-        moments = _share_moments(share, charge_e[part], sigma_e[part], ends_e)
-        difference = with_e - without_e
-        x_row = part_covariance[number] / np.sqrt(part_covariance[number, number])
-        slope_d = (difference * x_row).sum(axis=0)
-        slope_b = (without_e * x_row).sum(axis=0)
-        rest_d = _sum_e2(difference, part_covariance) - slope_d**2
-        rest_b = _sum_e2(without_e, part_covariance) - slope_b**2
-        cross = np.einsum("kn,kln,ln->n", difference, part_covariance, without_e)
-        rest_bd = cross - slope_d * slope_b
-
-        a, a2, a_z, a_z2, a2_z2 = moments
-        bias = slope_d * a_z
-        mean_square = (
-            slope_b**2
-            + 2 * slope_b * slope_d * a_z2
-            + slope_d**2 * a2_z2
-            + rest_b
-            + 2 * a * rest_bd
-            + a2 * rest_d
+        without_e = mean_weights(readout, level_e[part], integration_s, min(number + 1, count - 1))
+        with_e = _weights_with(readout, level_e[part], integration_s, number, without_e)
+        z, density = _normal_nodes(charge_e[part], sigma_e[part], ends_e)
+        share = _share_of_reading(
+            charge_e[part, None] + sigma_e[part, None] * z, reading, below_e[number], readout.merge
         )
-        bias_e[part] += bias
-        variance_e2[part] += mean_square - bias**2
-        weights[:, part] = without_e + a * difference
+
+        # Weights at each charge, their slope with it, and the variance that it leaves.
+        merged = without_e[:, None, :, None] + share * (with_e - without_e)[:, None, :, None]
+        part_covariance = covariance[:, :, part]
+        per_sigma = part_covariance[number] / np.sqrt(part_covariance[number, number])
+        slope = np.einsum("kpnm,kn->pnm", merged, per_sigma)
+        total_e2 = np.einsum("kpnm,kln,lpnm->pnm", merged, part_covariance, merged)
+        bias_e[part] = (density * z * slope).sum(axis=(0, 2))
+        square = density * ((z**2 - 1) * slope**2 + total_e2)
+        variance_e2[part] = square.sum(axis=(0, 2)) - bias_e[part] ** 2
+        weights[:, part] = (density * merged).sum(axis=(1, 3))
 
     for number in range(count - 1):
         passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
@@ -404,33 +389,25 @@ def _weights_with(
     if readout.merge.merge != "max_likelihood":
         return alone
     valid = [
-        np.full(level_e.shape, float(index == number)) + (others[index] > 0)
+        np.full(level_e.shape, float(index == number)) + (others[index] > _MIN_WEIGHT)
         for index in range(len(readout.readings))
     ]
     return np.stack(_likelihood_weights(readout, valid, level_e, integration_s))
 
 
-def _share_moments(
-    share: Callable[[Array], NDArray[Any]], charge_e: Array, sigma_e: Array, ends_e: Sequence[float]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Return E[a], E[a²], E[a z], E[a z²] and E[a² z²] of a share a(x) of a normal charge x, (n,)
-    each, with z = (x - mean)/σ.
+def _normal_nodes(charge_e: Array, sigma_e: Array, ends_e: Sequence[float]) -> tuple[Array, Array]:
+    """Return nodes in deviations of a normal charge, (panels, n, nodes), and their weights.
 
     charge_e, sigma_e : mean and deviation of the charge, (n,)
-    ends_e : charges at which the share has a kink or a step
+    ends_e : charges at which panels end
     """
-    inner = [np.clip((end_e - charge_e) / sigma_e, -_REACH, _REACH) for end_e in sorted(ends_e)]
-    edges = np.stack([np.full(charge_e.shape, -_REACH), *inner, np.full(charge_e.shape, _REACH)])
+    inner = [np.clip((end_e - charge_e) / sigma_e, -_REACH, _REACH) for end_e in ends_e]
+    lowest = np.full(charge_e.shape, -_REACH)
+    edges = np.stack([lowest, *inner, -lowest])
     half = np.diff(edges, axis=0)[..., None] / 2
     z = edges[:-1, :, None] + half * (1 + _NODES)
     density = half * _NODE_WEIGHTS * np.exp(-(z**2) / 2)
-    density /= density.sum(axis=(0, 2), keepdims=True)
-    a = share(charge_e[:, None] + sigma_e[:, None] * z).astype(float)
-
-    def mean(values: Array) -> Array:
-        return np.asarray((density * values).sum(axis=(0, 2)))
-
-    return mean(a), mean(a**2), mean(a * z), mean(a * z**2), mean(a**2 * z**2)
+    return z, density / density.sum(axis=(0, 2), keepdims=True)
 
 
 def fixed_pattern_e2(
@@ -442,25 +419,21 @@ def fixed_pattern_e2(
     integration_s : of a frame
     weights : of the readings, (K, n)
     """
-    total_e2 = np.zeros(level_e.shape)
-    for number in sorted({reading.photodiode for reading in readout.readings}):
-        gain_weight = np.zeros(level_e.shape)
-        dark_e = np.zeros(level_e.shape)
-        offset = np.zeros(level_e.shape)
-        photodiode = readout.readings[0].readout
-        for reading, weight in zip(readout.readings, weights, strict=True):
-            if reading.photodiode == number:
-                photodiode = reading.readout
-                gain_weight += weight
-                dark_e += (
-                    weight * photodiode.dark_current_e_per_s * integration_s / reading.response
-                )
-                offset += weight / reading.response
-        frame = photodiode.burst(readout.exposures)
-        total_e2 += (frame.prnu * gain_weight * level_e) ** 2
-        total_e2 += (frame.dark_spread.deviation * dark_e * integration_s) ** 2
-        total_e2 += (frame.offset_e * offset) ** 2
-    return total_e2
+    readings = readout.readings
+    frames = [reading.readout.burst(readout.exposures) for reading in readings]
+    response = np.array([reading.response for reading in readings])[:, None]
+    diodes = np.array([reading.photodiode for reading in readings])
+    gain = np.array([frame.prnu for frame in frames])[:, None] * level_e
+    dark = [frame.dark_spread.deviation * frame.dark_current_e_per_s for frame in frames]
+    offset = [frame.offset_e for frame in frames]
+    patterns_e = gain, integration_s * np.array(dark)[:, None] / response
+    is_shared = (diodes[:, None] == diodes).astype(float)
+    return np.asarray(
+        sum(
+            np.einsum("kn,kl,ln->n", weights * pattern_e, is_shared, weights * pattern_e)
+            for pattern_e in (*patterns_e, np.array(offset)[:, None] / response)
+        )
+    )
 
 
 def merged_variance_e2(
