@@ -633,6 +633,9 @@ def _exposure_words(result: RunResult) -> str:
     return words
 
 
+_SHOWN_BIAS_DELTA_E = 0.01
+
+
 def _light_words(result: RunResult) -> list[str]:
     """Return the words on the film and the render noise of a run, and on errors that were not
     measured.
@@ -646,7 +649,7 @@ def _light_words(result: RunResult) -> list[str]:
         if noise.fraction:
             noise_words = f"render noise {noise.fraction:.2g} of the sensor's noise"
             bias_delta_e = noise.bias.get(DELTA_E.columns[0], 0.0)
-            if float(f"{bias_delta_e:.4f}"):
+            if abs(bias_delta_e) >= _SHOWN_BIAS_DELTA_E:
                 noise_words += f", whose {bias_delta_e:.2g} ΔE are taken off"
         words.append(noise_words)
     if "scene_hash" in result.irradiance.header:

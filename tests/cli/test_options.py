@@ -189,7 +189,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ),
         ("compare a.toml b.toml --exposure.gain 4", "gain_db is 20 log10 of a gain: 12.04 for 4."),
         ("run csf --exposure.ISO 800", "Did you mean --exposure.gain-db? gain_db is 20 log10 of"),
-        ("run csf --exposure.hdr", "exposures of several lengths are not modelled."),
+        ("run csf --exposure.hdr", "pixel.readout.kind = 'staggered'"),
         ("explore --dry-run", "Commands with this option: run, study, compare."),
         ("run csf --quick", "Commands with this option: "),  # not --require
         ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),

@@ -28,7 +28,7 @@ def contrast_detection_probability(
     mean_e : a, of the darker patch
     contrast : c
     deviation_a_e, deviation_b_e : s_a and s_b, of single pixels of the darker and the brighter one
-    tolerance : d: contrasts from c (1 - d) to c (1 + d) count
+    tolerance : d, a share of c: contrasts from c (1 - d) to c (1 + d) count
 
     Raises PixsimError if the arrays cannot be broadcast together.
 
