@@ -19,7 +19,7 @@ from pixsim import Exposure, Pixel, PixsimError, derive
 from pixsim.base.arrays import stream
 from pixsim.base.schema import SCHEMA
 from pixsim.measure import datasheet, estimators
-from pixsim.measure.colour import measure_colour, noise_gain, smi
+from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import (
     DataSheet,
     Entry,
@@ -635,6 +635,16 @@ def test_colour_of_four_pixels_read_as_one_has_twice_their_snr() -> None:
     assert summed.readout.full_well_e == 4 * single.readout.full_well_e
     daylight = daylight_e_per_lx_s(single.physics)
     check("area", daylight_e_per_lx_s(summed.physics), 4 * daylight, rtol=1e-12, why="rounding")
+
+
+def test_crosstalk_raises_the_noise_gains() -> None:
+    """The matrix takes the mixture of neighbours apart again."""
+    gains = []
+    for share in (0.0, 0.08):
+        stack = {"height_um": 4.0, "index": 1.5, "microlens": "none", "crosstalk": share}
+        truth = colour_truth(Readout.of(derive(colour_pixel(stack=stack))), 0.01)
+        gains.append([noise_gain(truth.colour_chart, primary) for primary in range(3)])
+    assert np.divide(gains[1], gains[0]).min() > 1.05, gains
 
 
 # Files

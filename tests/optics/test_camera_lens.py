@@ -850,6 +850,11 @@ def test_tighter_tolerance_chooses_a_finer_tiling() -> None:
     )
     assert 0 < fine.error < coarse.error <= 0.05
     assert fine.spacing_um <= coarse.spacing_um
+    # On nine cells of 60 µm, which is all that waves are followed for, a PSF loses more.
+    wide = with_lens("singlet", 6.0, focal_length_mm=20.0)
+    limited = choose_tiling(wide, (100, 100), 60.0, *light[:2], 60.0, 0.01)
+    assert 0.01 < limited.cut_error <= limited.error
+    assert limited.psf_um == 9 * 60.0
 
 
 def test_mtf_of_a_slow_lens_is_that_of_diffraction_and_of_a_fast_one_far_below() -> None:

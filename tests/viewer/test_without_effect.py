@@ -588,17 +588,23 @@ def test_commands_name_settings_before_they_render(
 
 
 @pytest.mark.parametrize(
-    ("metrics", "names"),
+    ("metrics", "prnu", "names"),
     [
         (
             ["detectability", "information"],
+            0.01,
             "metric.detectability.without, metric.snr10_lx.snr change nothing here",
         ),
-        (["delta_e"], "metric.information.contrast"),
+        (["delta_e"], 0.01, "metric.information.contrast"),
+        (["delta_e", "snr10_lx"], 0.3, "metric.detectability.without changes nothing here"),
     ],
 )
-def test_settings_of_metrics_act_with_their_metrics(metrics: list[str], names: str) -> None:
-    """But the scene without the target, whose light is an argument."""
+def test_settings_of_metrics_act_with_their_metrics(
+    metrics: list[str], prnu: float, names: str
+) -> None:
+    """But the scene without the target, whose light is an argument, and nothing is known of a
+    metric without a number.
+    """
     metric = MetricOptions(
         information={"contrast": 0.3},
         snr10_lx={"snr": 5.0},
@@ -608,7 +614,7 @@ def test_settings_of_metrics_act_with_their_metrics(metrics: list[str], names: s
         evaluate(
             LIGHT,
             Camera(**BASE["camera"]),
-            Pixel(),
+            Pixel(prnu=prnu),
             display=Display(dots=SIDE),
             metrics=metrics,
             metric=metric,
