@@ -23,7 +23,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from helpers.commands import COMMAND, assert_refused, command
-from helpers.forks import Forked
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -65,11 +64,6 @@ def environment_in(folder: Path) -> dict[str, str]:
     """Variables of a process whose temporary files go to `folder`/tmp."""
     (folder / "tmp").mkdir(exist_ok=True)
     return os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
-
-
-def forked(script: str, folder: Path) -> Forked:
-    """A script that begins after all imports."""
-    return Forked(script, [], folder, environment_in(folder))
 
 
 def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]:
@@ -309,7 +303,7 @@ def test_interruption_is_not_turned_into_another_error(
         f"import signal\ntry:\n    signal.raise_signal({number})\nexcept BaseException:\n    pass\n"
     )
     (tmp_path / "dropping.py").write_text(dropping, encoding="utf-8")
-    process = forked(COMMAND_THAT_TURNS_SIGNALS.format(number=int(number), way=way), tmp_path)
+    process = started(COMMAND_THAT_TURNS_SIGNALS.format(number=int(number), way=way), tmp_path)
     _, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, err) == (128 + number, f"pixsim: {WORDS[number]}\n")
 
@@ -349,7 +343,7 @@ def test_signal_beside_files_leaves_all_or_none(
 ) -> None:
     owner, _, name = place.rpartition(".")
     (tmp_path / "out").mkdir()
-    process = forked(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
+    process = started(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
     out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, bool(out)) == (code, code == 0), err
     assert ("pixsim: terminated" in notes_of(err)) is (code != 0)

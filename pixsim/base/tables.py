@@ -45,8 +45,8 @@ def csv_text(lines: Iterable[Iterable[Any]]) -> str:
     return stream.getvalue()
 
 
-def dataframe_of(table: str | Sequence[Mapping[str, Any]]) -> DataFrame:
-    """Return CSV text, or rows, as a pandas.DataFrame. Raises PixsimError without pandas."""
+def dataframe_of(rows: Sequence[Mapping[str, Any]]) -> DataFrame:
+    """Return rows as a pandas.DataFrame. Raises PixsimError without pandas."""
     try:
         import pandas as pd
     except ImportError:
@@ -55,7 +55,7 @@ def dataframe_of(table: str | Sequence[Mapping[str, Any]]) -> DataFrame:
             "no pandas",
             "pip install pandas, or to_csv(), which pandas reads elsewhere",
         ) from None
-    return pd.read_csv(io.StringIO(table)) if isinstance(table, str) else pd.DataFrame(list(table))
+    return pd.DataFrame(list(rows))
 
 
 def plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from pixsim.base import cache, door
 from pixsim.base.bounds import POSITIVE
 from pixsim.base.problems import explain
 from pixsim.base.records import Record, checked
+from pixsim.base.tables import dataframe_of
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.glass import read_catalogue
 from pixsim.optics.prescription import read_prescription
@@ -83,6 +85,10 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "a curve of an integer beyond any float": (
         lambda: Pixel(quantum_efficiency=[[400, 10**400], [700, 0.5]]),
         "quantum_efficiency: got",
+    ),
+    "no pandas": (
+        lambda: patch.dict("sys.modules", pandas=None)(dataframe_of)([]),
+        "pip install pandas",
     ),
     "a gain that is no level": (lambda: pixsim.Exposure(gain=4), "gain_db is 20 log10 of a gain"),
     "a record of a file": (

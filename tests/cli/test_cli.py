@@ -13,7 +13,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers.commands import assert_refused, command, forked, output_of, process
+from helpers.commands import assert_refused, command, output_of, process
 from helpers.processes import HANG_S
 from matplotlib.image import imread
 
@@ -420,29 +420,64 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
     assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, size, {})
 
 
-def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
-    # Brighter than display white, which gives a warning.
-    line = (
-        f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10 --out"
-        f" {tmp_path / 'out'}"
-    )
-    code, plain, err = forked(f"{line} --json")
-    assert code == 0, err
-    assert json.loads(plain)["pitch_um"] == 6.5
-    assert "warning: " in err
+# Brighter than display white, which gives a warning.
+BRIGHT = f"run csf {SMALL} --variant scalar_spectral --display.white-cd-per-m2 10"
+
+
+@pytest.fixture(scope="module")
+def installed(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """A run by the installed command in a folder `here`, with a home folder and a cache of its own,
+    and the folder above them.
+    """
+    above = tmp_path_factory.mktemp("installed")
+    home, here, kept = (above / name for name in ("home", "here", "cache"))
+    home.mkdir(), here.mkdir()
+    prefixes = ("XDG_", "DRJIT_CACHE", "MPLCONFIG")
+    environment = {name: None for name in os.environ if name.startswith(prefixes)} | {
+        "HOME": str(home),
+        "TMPDIR": str(here),
+        FOLDER_VARIABLE: str(kept),
+    }
+    # New ones take seconds.
+    for variable, name in (("MPLCONFIGDIR", "matplotlib"), ("DRJIT_CACHE_DIR", "kernels")):
+        shutil.copytree(os.environ[variable], kept / name)
+    colours = {"FORCE_COLOR": "", "TERM": "xterm-256color"}
+    line = f"{BRIGHT} --json --out {above / 'out'}"
+    return process(line, folder=here, **environment, **colours), above
+
+
+def test_run_separates_stdout_and_stderr(
+    installed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    done, above = installed
+    assert json.loads(done.stdout)["pitch_um"] == 6.5, done.stderr
+    assert "warning: " in done.stderr
+    line = f"{BRIGHT} --out {above / 'out'}"
     code, out, err = command(f"{line} --json --quiet")
     # Only what makes a number doubtful.
     assert all("warning: " in words for words in err.splitlines())
-    assert (code, out) == (0, plain)
+    assert (code, out) == (0, done.stdout)
     code, out, err = command(f"-v {line}")
     assert (code, out[:7]) == (0, "mean ΔE")
     assert re.search(r"^render: \d+\.\d\d s$", err, re.MULTILINE)
 
 
-def test_output_without_terminal_has_no_colours() -> None:
+def test_output_without_terminal_has_no_colours(
+    installed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
     assert command("--version") == (0, f"{pixsim.__version__}\n", "")
-    done = process("run nothing", FORCE_COLOR="", TERM="xterm-256color")
-    assert "\x1b" not in done.stdout + done.stderr
+    assert "\x1b" not in installed[0].stdout + installed[0].stderr
+
+
+def test_commands_write_only_to_output_and_cache(
+    installed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    _, above = installed
+    left = [*(above / "home").rglob("*"), *(above / "here").rglob("*")]
+    assert left == [], "temporary files remain"
+    assert {path.name for path in (above / "cache").iterdir()} > {"kernels", "matplotlib"}
 
 
 def test_completion_prints_valid_script() -> None:
@@ -453,24 +488,3 @@ def test_completion_prints_valid_script() -> None:
         subprocess.run(
             [program, "-n"], input=out, text=True, check=True, capture_output=True, timeout=HANG_S
         )
-
-
-def test_commands_write_only_to_output_and_cache(tmp_path: Path) -> None:
-    home, here, kept, out = (tmp_path / name for name in ("home", "here", "cache", "out"))
-    for folder in (home, here):
-        folder.mkdir()
-    prefixes = ("XDG_", "DRJIT_CACHE", "MPLCONFIG")
-    environment = {name: None for name in os.environ if name.startswith(prefixes)} | {
-        "HOME": str(home),
-        "TMPDIR": str(here),
-        FOLDER_VARIABLE: str(kept),
-    }
-    for variable, name in (
-        ("MPLCONFIGDIR", "matplotlib"),
-        ("DRJIT_CACHE_DIR", "kernels"),
-    ):  # new ones take seconds
-        shutil.copytree(os.environ[variable], kept / name)
-    done = process(f"run csf {SMALL} --out {out}", folder=here, **environment)
-    assert done.returncode == 0, done.stderr
-    assert [*home.rglob("*"), *here.rglob("*")] == [], "temporary files remain"
-    assert {path.name for path in kept.iterdir()} > {"kernels", "matplotlib"}

@@ -17,7 +17,6 @@ from typing import Any
 import pydantic
 import pytest
 from cyclopts.argument import _collection
-from helpers import forks
 from helpers.processes import HANG_S
 
 from pixsim import cli
@@ -102,17 +101,6 @@ def process(
     return subprocess.run(
         run, capture_output=True, text=True, timeout=HANG_S, cwd=folder, env=environment
     )
-
-
-def forked(line: str, *words: object, **changes: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command, as of `process`, in a process that need not import
-    pixsim again.
-    """
-    running = forks.Forked(
-        forks.COMMAND, [*shlex.split(line), *map(str, words)], Path.cwd(), os.environ | changes
-    )
-    out, err = running.communicate()
-    return running.wait(), out, err
 
 
 def assert_refused(code: int, out: str, err: str, texts: list[str]) -> None:

@@ -1,7 +1,6 @@
 """Workers: results do not depend on them, and no finished row is lost or computed twice."""
 
 import contextlib
-import os
 import shutil
 import signal
 import subprocess
@@ -16,8 +15,7 @@ from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
-from helpers.forks import Forked
-from helpers.processes import signalled
+from helpers.processes import HANG_S, signalled
 from helpers.tasks import (
     collects_garbage,
     die_always,
@@ -142,10 +140,10 @@ def test_study_that_was_killed_is_resumed(
     monkeypatch.chdir(desk)
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     out = tmp_path / "out"
-    words = ["study", "study.toml", "--out", str(out), "--jobs", "1"]
-    process = Forked(signalled(signal.SIGKILL, 18), words, desk, dict(os.environ))
-    _, err = process.communicate()
-    assert process.wait() == -signal.SIGKILL, err
+    script = [sys.executable, "-c", signalled(signal.SIGKILL, 18), "study", "study.toml"]
+    words = ["--out", str(out), "--jobs", "1"]
+    done = subprocess.run([*script, *words], capture_output=True, text=True, timeout=HANG_S)
+    assert done.returncode == -signal.SIGKILL, done.stderr
     assert {path.name for path in out.iterdir()} - {".pixsim.lock"} == {"results.csv"}
     counts = pixsim.study("study.toml", out, jobs=2).counts
     assert (counts.evaluations_reused, counts.evaluations_made) == (14, 4 * 5 * 2 - 14)
