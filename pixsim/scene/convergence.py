@@ -44,13 +44,13 @@ from pixsim.viewer.setting import Effort
 RENDER_NOISE = 0.2
 _MAX_RUNS = 1 << 12
 _MAX_SPP = 1024  # samples per film cell of one render
-QUARTERS = 4
+_QUARTERS = 4
 # Of four quarters each: a level has four times the samples of the one before.
 _GROUPS_A_LEVEL = 4
 # With a time limit: a picture of a quarter of the samples comes sooner, and more are added to it.
 _FIRST_LEVEL = -1
 # Times the samples of the first group: what a render is expected to take before its noise is known.
-UNKNOWN = 8.0
+_UNKNOWN = 8.0
 # Beyond a time limit, for the first group, without which there is no picture: a share of it, and s.
 _GRACE = 0.5
 _GRACE_S = 1.5
@@ -130,7 +130,7 @@ class AnswerError:
         return cls(
             bias=bias,
             bias_error=max(abs(bias - near), abs(far / 2 - near)),
-            deviation=math.sqrt(max(of_whole, of_parts) / QUARTERS),
+            deviation=math.sqrt(max(of_whole, of_parts) / _QUARTERS),
         )
 
     @classmethod
@@ -515,12 +515,11 @@ class _Pace:
         self.max_spp = math.inf
         if max_seconds is None:
             film_samples = math.prod(renderer.size) * plan.light.passes
-            self.max_spp = plan.most_samples / (QUARTERS * film_samples)
+            self.max_spp = plan.most_samples / (_QUARTERS * film_samples)
 
-        self.expected_spp = UNKNOWN * plan.samples.spp
+        self.expected_spp = _UNKNOWN * plan.samples.spp
         if plan.many_bounces and max_seconds is None:
             self.expected_spp = self.max_spp
-        self._first_spp = plan.samples.spp
         self._groups_at_level = 0
         self._group_spp = 0
 
@@ -618,9 +617,9 @@ def _group(
     before_spp = quarter.spp
     spp = renderer.plan.samples.spp * LEVEL_FACTOR**level
     number, scenes = scene
-    renders = QUARTERS * scenes
-    for render in range(QUARTERS):
-        done = number * QUARTERS + render
+    renders = _QUARTERS * scenes
+    for render in range(_QUARTERS):
+        done = number * _QUARTERS + render
         progress = reporter.of_render(
             before_spp + spp * done / renders,
             before_spp + spp * (done + 1) / renders,
@@ -644,7 +643,7 @@ class _Quarters:
         self.runs = 0
         self.spp = 0.0
         self.samples = 0
-        self._sums: list[list[NDArray[np.float32]]] = [[] for _ in range(QUARTERS)]
+        self._sums: list[list[NDArray[np.float32]]] = [[] for _ in range(_QUARTERS)]
 
     def add(self, group: Iterable[tuple[list[Any], int]]) -> int:
         """Add a render to each quarter, and return the samples per film cell of each."""
@@ -676,7 +675,7 @@ class _Quarters:
         for physics in pixels:
             rates = self._signal_rates(physics)
             mean_rate = np.maximum(rates.mean(axis=0), 0.0)
-            error_variance = rates.var(axis=0, ddof=1) / QUARTERS
+            error_variance = rates.var(axis=0, ddof=1) / _QUARTERS
 
             readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
             metered = with_metered_gain(exposure, readout, float(mean_rate.max()))

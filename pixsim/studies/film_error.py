@@ -1040,7 +1040,7 @@ def delta_e_on_films(
             score_with_noise(chain, noise[number]).delta_e for number, chain in enumerate(chains)
         ]
         delta_e[step] = np.concatenate(
-            [means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
+            [_means_over_rectangles(delta_e_map, divisions) for delta_e_map in maps]
         )
         step_done()
 
@@ -1101,7 +1101,7 @@ def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
     return np.asarray(np.sqrt(variance_dn2) / chain.readout.dn_per_e)
 
 
-def means_over_rectangles(picture: Array, divisions: int) -> Array:
+def _means_over_rectangles(picture: Array, divisions: int) -> Array:
     """Return the means over divisions × divisions rectangles of a picture (H, W), row by row."""
     means = []
     for row in np.array_split(picture, divisions, axis=0):

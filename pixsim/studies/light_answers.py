@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arrays import PARTS, Array, in_threads
+from pixsim.base.arrays import Array, in_threads
 from pixsim.base.notes import suppressed_warnings
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.convergence import NO_TOLERANCE_DELTA_E, AnswerKey
@@ -20,10 +20,8 @@ from pixsim.sensor.motion_options import NO_MOTION
 from pixsim.studies.film_error import (
     TOLERATED_DELTA_E,
     TOLERATED_SHARE,
-    chains_of_film,
-    means_over_rectangles,
+    delta_e_on_films,
     parts_of,
-    score_with_noise,
     standard_noise_of,
     with_linear_denoising,
     with_noise,
@@ -145,21 +143,8 @@ def _mean_delta_e(imaging: Imaging, images: Sequence[SpectralImage]) -> list[Arr
     noise: list[Array] = []
 
     def measure(number: int) -> None:
-        image = images[number]
-        parts = list(parts_of(image, imaging.physics.read_pitch_um, imaging.display))
-        chains = chains_of_film(parts, [None] * len(parts), imaging)
-        if not noise:
-            noise.extend(
-                standard_noise_of(chain, imaging, part) for part, chain in enumerate(chains)
-            )
-        maps = [
-            score_with_noise(chain, part_noise).delta_e
-            for chain, part_noise in zip(chains, noise, strict=True)
-        ]
-        divisions = PARTS if len(maps) == 1 else 1
-        means[number] = np.concatenate(
-            [means_over_rectangles(delta_e, divisions) for delta_e in maps]
-        )
+        parts = list(parts_of(images[number], imaging.physics.read_pitch_um, imaging.display))
+        (means[number],) = delta_e_on_films([parts], [[None] * len(parts)], imaging, noise=noise)
 
     measure(0)  # its noise is that of all
     size = len(images) * images[0].planes[0].size

@@ -5,6 +5,7 @@ pairs; their intervals, and how probably they are above 0.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,7 +27,7 @@ SENSOR, CONDITION = "technology", "condition"  # labels of a table
 
 
 @dataclass(frozen=True)
-class Difference:
+class Difference(ABC):
     """A number of one sensor or result minus that of another.
 
     names : of the two, a and b
@@ -45,11 +46,11 @@ class Difference:
         return float(self.b.mean() - self.a.mean())
 
     @property
+    @abstractmethod
     def interval(self) -> tuple[float, float]:
         """95 % interval of the expected difference, of frames that have a scatter; errors of the
         light are not in it.
         """
-        raise NotImplementedError
 
     @property
     def has_interval(self) -> bool:
