@@ -42,6 +42,7 @@ from pixsim.viewer.setting import Effort
 
 # Target of the noise over the sensor's, where no answer depends on the light.
 RENDER_NOISE = 0.2
+_MEASURED = MEASURED // 4  # cells or pixels whose noise is as that of all
 _MAX_RUNS = 1 << 12
 _MAX_SPP = 1024  # samples per film cell of one render
 _QUARTERS = 4
@@ -58,6 +59,7 @@ _GRACE_S = 1.5
 _STANDARD_ERRORS = 3.18
 _MIN_ORDER = 0.5  # of the bias in the number of samples: of noise that is larger than the picture
 _MAX_ORDER = 1.0  # and of small noise
+_BEND_ERROR = 2 / 3  # of the difference of two extrapolations of a distance
 # Answers are measured again at this share of the samples that they are expected to need, and at
 # the latest after so many times the samples.
 _EARLY = 0.7
@@ -115,9 +117,7 @@ class AnswerError:
 
         The bias falls as samples^-p (Richardson's extrapolation). Its order p is measured between
         quarters, halves and the whole, from 1/2, where noise is larger than the picture's own
-        detail, to 1. What the bias would be with p = 1, from either step, is its error. Four
-        quarters may be alike by chance, but hardly in all parts of the picture: their scatter is
-        the larger of that of the whole and that of parts whose noise is independent.
+        detail, to 1. What the bias would be with p = 1, from either step, is its error.
         """
         near = float(np.mean(halves) - np.mean(value))
         far = float(np.mean(quarters)) - float(np.mean(halves))
@@ -125,12 +125,30 @@ class AnswerError:
         if near * far > 0:
             order = min(max(math.log2(far / near), _MIN_ORDER), _MAX_ORDER)
         bias = near / (2**order - 1)
-        of_whole = float(np.var(quarters.mean(axis=1), ddof=1))
-        of_parts = float(np.var(quarters, axis=0, ddof=1).mean()) / quarters.shape[1]
         return cls(
             bias=bias,
             bias_error=max(abs(bias - near), abs(far / 2 - near)),
-            deviation=math.sqrt(max(of_whole, of_parts) / _QUARTERS),
+            deviation=_deviation(quarters),
+        )
+
+    @classmethod
+    def of_distance(cls, value: Array, halves: Array, quarters: Array) -> AnswerError:
+        """Return the error of a mean distance, such as ΔE, with arguments as for `of`.
+
+        Noise and differences add as squares, so that the square of a part's distance is a + b v,
+        with the variance v of the noise. It is extrapolated from the whole and halves, and from
+        halves and quarters. As some places have more noise than others, it bends, and the two
+        differ. What is left beyond the nearer one falls as v² where noise is small, and as √v where
+        it is all there is; it is 1/3 to 5/3 of the difference if the order is 0.7 to 2.
+        """
+        near = distance_without_noise(value, halves)
+        half = np.sqrt((halves**2).mean(axis=0))
+        bend = distance_without_noise(half, quarters) - near
+        scatter = float(bend.std(ddof=1)) / math.sqrt(bend.size) if bend.size > 1 else 0.0
+        return cls(
+            bias=float(np.mean(value - near + bend)),
+            bias_error=_BEND_ERROR * abs(float(bend.mean())) + scatter,
+            deviation=_deviation(quarters),
         )
 
     @classmethod
@@ -163,6 +181,28 @@ class AnswerError:
         scatter = _STANDARD_ERRORS * self.deviation
         root = math.sqrt(scatter**2 + 4 * self.tolerance * self._systematic)
         return ((scatter + root) / (2 * self.tolerance)) ** 2
+
+
+def distance_without_noise(value: Array, halves: Array) -> Array:
+    """Return mean distances, such as ΔE, in a render without noise, which adds as squares do.
+
+    value, halves : in parts of the picture, (..., parts), and of renders with half the samples,
+        (n, ..., parts)
+    """
+    return np.asarray(np.sqrt(np.maximum(2 * value**2 - (halves**2).mean(axis=0), 0.0)))
+
+
+def _deviation(quarters: Array) -> float:
+    """Return the standard deviation of the number of a render from those of its quarters.
+
+    quarters : in parts of the picture, (4, parts)
+
+    Four quarters may be alike by chance, but hardly in all parts of the picture: their scatter is
+    the larger of that of the whole and that of parts whose noise is independent.
+    """
+    of_whole = float(np.var(quarters.mean(axis=1), ddof=1))
+    of_parts = float(np.var(quarters, axis=0, ddof=1).mean()) / quarters.shape[1]
+    return math.sqrt(max(of_whole, of_parts) / _QUARTERS)
 
 
 @dataclass(frozen=True)
@@ -407,10 +447,12 @@ class _Demand:
         for key, value in values[0].items():
             others = [numbers[key] for numbers in values[1:] if key in numbers]
             if len(others) == len(parts) - 1:
+                of = AnswerError.of_distance if key[0] == _MEAN_DELTA_E else AnswerError.of
+                error = of(value, np.array(others[:2]), np.array(others[2:]))
                 self.errors[key] = replace(
-                    AnswerError.of(value, np.array(others[:2]), np.array(others[2:])),
+                    error,
                     is_corrected=self.answers.are_corrected,
-                    tolerance=self.answers.tolerance(key, float(value.mean())),
+                    tolerance=self.answers.tolerance(key, float(value.mean()) - error.bias),
                 )
 
     def with_errors(self, noise: RenderNoise) -> RenderNoise:
@@ -667,7 +709,7 @@ class _Quarters:
         """Return the noise of the mean of all quarters, as a fraction of sensor noise and relative,
         for the worst pixel.
 
-        Diffraction is left out; its blur would lower the noise slightly. Of more than `MEASURED`
+        Diffraction is left out; its blur would lower the noise slightly. Of more than `_MEASURED`
         pixels, the ones in `PARTS` × `PARTS` parts are measured, spread evenly over the picture.
         """
         fractions = [0.0]
@@ -831,12 +873,12 @@ def measured_parts(
     shape: tuple[int, int], pixels_per_cell: float, margin: int = 0
 ) -> list[tuple[slice, slice]]:
     """Return the rows and columns of a film (H, W) on which the noise is measured: all of it, or
-    parts with `MEASURED` pixels.
+    parts with `_MEASURED` pixels.
 
     pixels_per_cell : along each side
     margin : cells at each side of the film to which rows and columns are counted
     """
-    thinning = math.sqrt(math.prod(shape) * pixels_per_cell**2 / MEASURED)
+    thinning = math.sqrt(math.prod(shape) * pixels_per_cell**2 / _MEASURED)
     if thinning <= 1 or min(shape) < PARTS:
         return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 

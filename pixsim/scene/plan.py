@@ -69,7 +69,7 @@ _SPECTRUM_SHARE = 0.8
 _LUMINANCE_TOLERANCE = 5.0  # times the tolerance, for luminance of strongly coloured surfaces
 _COLOUR_TOLERANCE = 2.0  # times the tolerance, for a channel of a colour sensor
 _MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
-_MIN_RENDERS = 2  # whose difference shows their noise
+_MIN_RENDERS = 4  # a quarter each, which show their noise
 # The lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis.
 UNIFORM_RESOLUTION = 64
 # Technologies with the two packaged response curves, for a plan without a pixel.
@@ -279,7 +279,7 @@ class Plan:
 
     @property
     def cells_in_time(self) -> float:
-        """Number of film cells for which the fewest renders, two with the fewest samples, stay
+        """Number of film cells for which the fewest renders, four with the fewest samples, stay
         within `most_samples`.
         """
         if self.samples.exact:

@@ -54,7 +54,7 @@ from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import Lamps, OutOfTimeError, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
-from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
+from pixsim.scene.rules import BACKGROUNDS, MIN_MULTIJITTER_SPP, SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, nodes_of, parse_tree
 from pixsim.scene.white_plate import dark_plate_error
@@ -92,9 +92,9 @@ def film_response(pulse: Pulse) -> dict[str, Any]:
     return regular(pulse.low_nm, pulse.high_nm, pulse.values)
 
 
-def shared_passes(fit: Fit, span: Span = VISIBLE) -> Passes | None:
-    """Return the passes of a light that are traced together, or None for fewer than two."""
-    if len(fit.passes) < 2:
+def shared_passes(fit: Fit, span: Span = VISIBLE, fewest: int = 2) -> Passes | None:
+    """Return the passes of a light that are traced together, or None if there are too few."""
+    if len(fit.passes) < fewest:
         return None
     step_nm = fit.pulses[0].step_nm
     pulses = tuple(
@@ -201,6 +201,8 @@ Picture = NDArray[np.float32] | Array
 _SAMPLES_PER_KERNEL = 1 << 25
 # Of passes in one kernel: their light takes 16 bytes a sample, and a path more time than a chart.
 _SAMPLES_TOGETHER = 1 << 22
+# The samples of so many cells down and across are stratified together, where a cell has few.
+_BLOCK_CELLS = 4
 # Limits the memory of the sums, in float32 and float64; fewer samples than 4 in a cell are rare.
 _CELLS_PER_KERNEL = 1 << 23
 _SCALAR_STRIPS = 16
@@ -392,7 +394,8 @@ class Renderer:
             tables=(*regular_tables, *held_tables),
             size=self.rendered_size,
             passes=tuple(
-                shared_passes(light.fit, plan.light.bands.span) for light in plan.light.lamps
+                shared_passes(light.fit, plan.light.bands.span, fewest=2 if plan.film.chart else 1)
+                for light in plan.light.lamps
             ),
             files=asset_files(state),
         )
@@ -540,15 +543,28 @@ class Renderer:
         light = self.plan.light.lamps[scene]
         sampler = self.plan.samples.sampler
         renders = -(-requested_spp // _SPP_PER_RENDER)
-        spp = self.tracer.sample_count(sampler, -(-requested_spp // renders))
 
         # All passes in one kernel. Scalar variants have no kernels that passes could share.
+        spp = -(-requested_spp // renders)
+        passes = None if self.job.variant.startswith("scalar") else self.job.passes[scene]
+        in_blocks = False
+        if sampler == "independent":  # by the plan, for a few samples of paths
+            has_few = spp < MIN_MULTIJITTER_SPP
+            in_blocks = has_few and passes is not None
+            sampler = "multijitter" if in_blocks or not has_few else sampler
+        if not in_blocks:
+            spp = self.tracer.sample_count(sampler, spp)
         rows: list[_RowTrace] = []
-        if self.job.passes[scene] is not None and not self.job.variant.startswith("scalar"):
+        if passes is not None and (in_blocks or len(passes.groups) > 1):
             pulses = list(range(len(light.fit.pulses)))
             for strip in self._film_strips(spp * len(light.fit.passes), _SAMPLES_TOGETHER):
                 trace = partial(
-                    self.tracer.trace_together, scene, (strip.start, strip.stop), sampler, spp
+                    self.tracer.trace_together,
+                    scene,
+                    (strip.start, strip.stop),
+                    sampler,
+                    spp,
+                    block_cells=_BLOCK_CELLS if in_blocks else 1,
                 )
                 rows.append(_RowTrace(strip, pulses, trace))
             return _LightTraces(renders, renders * spp, rows)

@@ -69,7 +69,7 @@ def answers(name: str, scene: str, window_mm: float | None) -> None:
         settings["window_mm"] = window_mm
     rows = []
     for seed in SEEDS:
-        job = prepare(scene, Run(seed=seed, **settings))
+        job = prepare(Run(seed=seed, scene={"file": scene}, **settings))
         request = job.request
         rendered = request.render(request.first, request.plan)
         (key,) = request.answers.values([(rendered.image, None)])[0]

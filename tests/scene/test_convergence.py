@@ -138,7 +138,7 @@ def test_measured_parts_are_a_sample_of_the_pixels(shape: tuple[int, int]) -> No
     for part in convergence.measured_parts(shape, 20.0):
         covered[part] += 1
     assert covered.max() == 1
-    assert covered.sum() * 20**2 == pytest.approx(convergence.MEASURED, rel=0.2)
+    assert covered.sum() * 20**2 == pytest.approx(convergence._MEASURED, rel=0.2)
 
 
 # --- When rendering ends ---
@@ -211,6 +211,22 @@ def test_bias_of_any_order_is_taken_off() -> None:
         assert error.bias == pytest.approx(bias, rel=1e-9)
         assert error.deviation == pytest.approx(0, abs=1e-15)
         assert error.bias_error == pytest.approx(0, abs=1e-12) or order < 1
+
+
+@pytest.mark.parametrize("noise", [0.1, 1.0])
+def test_noise_is_taken_off_a_distance_as_squares_add(noise: float) -> None:
+    """A part is √(a + b v); one of places whose noise differs fourfold bends, within its error."""
+    detail = np.array([0.2, 1.0, 3.0])[:, None]
+    for variances in ([noise], [0.5 * noise, 2 * noise]):
+        value, half, quarter = (
+            np.sqrt(detail**2 + factor * np.array(variances)).mean(axis=1) for factor in (1, 2, 4)
+        )
+        error = convergence.AnswerError.of_distance(
+            value, np.array([half] * 2), np.array([quarter] * 4)
+        )
+        missed = error.bias - (value - detail[:, 0]).mean()
+        assert abs(missed) <= (error.bias_error if len(variances) > 1 else 1e-12)
+        assert error.bias_error <= 0.2 * error.bias
 
 
 def test_sample_limit_ends_renders_whatever_the_clock_says(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,7 +33,7 @@ from pixsim.base import arrays
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.optics.camera_light import camera_factor
-from pixsim.scene import charts
+from pixsim.scene import charts, renderer
 from pixsim.scene.contents import planck
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
@@ -224,6 +224,34 @@ def test_render_plane_under_uniform_sky(variant: str, tmp_path: Path) -> None:
     ratio = radiance / (reflectance_of_band(nm) * sky)
     np.testing.assert_allclose(ratio[np.abs(nm - STEP_NM) > 5], 1, rtol=1e-2)
     np.testing.assert_allclose(ratio[nm > 600], 1, rtol=2e-3)
+
+
+@NEEDS_LLVM
+def test_samples_of_blocks_lower_the_noise_of_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a film of 30 × 22 cells, which no block divides: the picture is that of samples of single
+    cells, with less noise in what a pixel of some cells sees.
+
+    Over 64 renders a cell's standard error is known to 9 %: of 660 cells one is beyond 6 with a
+    probability of 1e-5. The noise of 35 blocks scatters by 2 %.
+    """
+    scene = pixsim.load_scene("cornell_box", variant="llvm_ad_spectral", resolution=30, spp=4)
+    camera = scene.camera().model_copy(update={"die_height_mm": 2.0}).window(0.3)
+    pictures = {}
+    for block_cells in (1, 4):
+        monkeypatch.setattr(renderer, "_BLOCK_CELLS", block_cells)
+        traced = Renderer(scene, camera, make_render_plan(scene, camera), 0)
+        assert traced.plan.samples.sampler == "independent"
+        runs = [traced.run(index)[0][0].sum(axis=2, dtype=float) for index in range(64)]
+        pictures[block_cells] = np.array(runs)
+    alone, together = pictures[1], pictures[4]
+    error = np.sqrt((alone.var(axis=0) + together.var(axis=0)) / 64)
+    assert (np.abs(alone.mean(axis=0) - together.mean(axis=0)) < 6 * error).all()
+
+    def noise(runs: np.ndarray) -> float:
+        blocks = runs[:, :20, :28].reshape(64, 5, 4, 7, 4).mean(axis=(2, 4))
+        return float(np.sqrt(blocks.var(axis=0, ddof=1).mean()))
+
+    assert noise(together) / noise(alone) == pytest.approx(0.86, abs=0.08)
 
 
 def test_render_two_lamp_spectra_add(tmp_path: Path) -> None:

@@ -284,9 +284,16 @@ class ChildTracer:
         return result
 
     def trace_together(
-        self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int
+        self,
+        scene: int,
+        rows: tuple[int, int],
+        sampler: str,
+        spp: int,
+        seed: int,
+        block_cells: int = 1,
     ) -> NDArray[np.float32]:
         request = {"scene": scene, "rows": rows, "sampler": sampler, "spp": spp, "seed": seed}
+        request["block_cells"] = block_cells
         result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]))
         return result
 

@@ -143,40 +143,67 @@ class InProcessTracer:
         return {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
 
     def trace_together(
-        self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int
+        self,
+        scene: int,
+        rows: tuple[int, int],
+        sampler: str,
+        spp: int,
+        seed: int,
+        block_cells: int = 1,
     ) -> NDArray[np.float32]:
         """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses);
         `spp` of each pass.
 
         Pulses, passes, rows and seed are data of one kernel: other values compile nothing.
+
+        block_cells : side of the blocks of cells whose samples the sampler stratifies together, of
+            all passes: a pixel and an eye see the mean of several cells, which then has less noise.
+            1 stratifies the samples of each pass of a cell
         """
         passes, (height, width) = self.job.passes[scene], self.job.size
         assert passes is not None
         with mitsuba_session(self.job.variant) as mi:
             dr = drjit()
-            sensor = self._sensor_with(mi, self._whole_film(), sampler, spp)
+            pass_count = len(passes.groups)
+            block_samples = block_cells**2 * pass_count * spp
+            stratified = block_samples if block_cells > 1 else spp
+            sensor = self._sensor_with(mi, self._whole_film(), sampler, stratified)
             world, integrator = self.loaded[scene]
             if scene not in self._tables:
                 self._tables[scene] = _tables(mi, passes)
             lanes, shifts, density, share = self._tables[scene]
 
-            # Samples: spp of each pass of each cell, which the sampler stratifies together.
-            pass_count = len(passes.groups)
-            cells = (rows[1] - rows[0]) * width
+            # Samples: spp of each pass of each cell, block by block. A sampler may take a few more,
+            # which are traced and left out.
+            down, across = (-(-cells // block_cells) for cells in (rows[1] - rows[0], width))
             random = sensor.sampler().clone()
-            random.set_samples_per_wavefront(spp)
-            random.seed(dr.opaque(mi.UInt32, seed), cells * pass_count * spp)
-            index = dr.arange(mi.UInt32, cells * pass_count * spp)
-            sequence = index // spp
-            cell = sequence // pass_count
-            group = sequence - cell * pass_count
+            strata = random.sample_count()
+            count = down * across * block_samples // stratified * strata
+            random.set_samples_per_wavefront(strata)
+            random.seed(dr.opaque(mi.UInt32, seed), count)
+            index = dr.arange(mi.UInt32, count)
+            stratum = index // strata
+            sample = stratum * stratified + dr.minimum(index - stratum * strata, stratified - 1)
+            sequence = sample // spp
+            place = sequence // pass_count
+            group = sequence - place * pass_count
+
+            # Their cells; those beyond the film are left out, too.
+            block = place // block_cells**2
+            in_block = place - block * block_cells**2
+            block_row = block // across
+            row_in_block = in_block // block_cells
+            row = block_row * block_cells + row_in_block
+            column = (block - block_row * across) * block_cells + (
+                in_block - row_in_block * block_cells
+            )
+            cell = row * width + column
 
             # Rays, whose random numbers are drawn in the order of Mitsuba's own integrators.
-            row = cell // width
-            corner = mi.Vector2f(cell - row * width, row + dr.opaque(mi.UInt32, rows[0]))
+            corner = mi.Vector2f(column, row + dr.opaque(mi.UInt32, rows[0]))
             offset = _stratified_places(
                 mi,
-                number=index - sequence * spp,
+                number=sample - sequence * spp,
                 spp=spp,
                 group=group,
                 count=pass_count,
@@ -184,13 +211,13 @@ class InProcessTracer:
                 seed=dr.opaque(mi.UInt32, seed),
                 jitter=random.next_2d(),
             )
-            place = (corner + offset) * mi.ScalarVector2f(1 / width, 1 / height)
+            on_film = (corner + offset) * mi.ScalarVector2f(1 / width, 1 / height)
             aperture = random.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
             time_s = mi.Float(sensor.shutter_open())
             if sensor.shutter_open_time() > 0:
                 time_s += random.next_1d() * sensor.shutter_open_time()
             area = random.next_1d()
-            ray, _ = sensor.sample_ray(time_s, mi.Float(0.5), place, aperture)
+            ray, _ = sensor.sample_ray(time_s, mi.Float(0.5), on_film, aperture)
 
             # Wavelengths: each of the four has a share of the area of its pulse below it.
             wavelengths_nm = []
@@ -203,8 +230,17 @@ class InProcessTracer:
 
             light = _radiance(mi, integrator, world, random, mi.RayDifferential3f(ray))
             dr.eval(light)
-            pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], spp)
-            return pictures.reshape(rows[1] - rows[0], width, -1)
+            lane_values = [
+                np.array(light[lane]).reshape(-1, strata)[:, :stratified].ravel()
+                for lane in range(WAVELENGTHS)
+            ]
+            blocks = passes.means(lane_values, spp).reshape(
+                down, across, block_cells, block_cells, -1
+            )
+            whole = blocks.transpose(0, 2, 1, 3, 4).reshape(
+                down * block_cells, across * block_cells, -1
+            )
+            return whole[: rows[1] - rows[0], :width]
 
     def depths(self, side: int) -> NDArray[np.float32]:
         """Return depths along the optical axis in m at (side, side, 1) places of the film, seen
