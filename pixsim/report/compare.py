@@ -47,6 +47,7 @@ from pixsim.report.verdicts import (
     verdict_parts,
 )
 from pixsim.report.wording import DELTA_E, part_words
+from pixsim.scene.convergence import Pilot
 from pixsim.scene.guard.dictionary import stated_file
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import write_frame
@@ -85,7 +86,7 @@ from pixsim.show.render import PAGE
 from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
 from pixsim.studies.design import BASE, Case, frame_cost
-from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
+from pixsim.studies.dry_run import PAGE_S, START_S, Cost, pilot_of, render_bytes, render_seconds
 from pixsim.studies.files import scene_copy, scene_table, settings_text, stated_settings
 from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.run import check_raw
@@ -115,13 +116,16 @@ def _cost_of(job: ComparisonJob) -> Cost:
     largest_bytes = 0.0
     cores = processors().usable
     for group in job.groups:
+        pilot: Pilot | None = None
         for case in group.cases:
             request = group.request(case, group.film_width)
+            pilot = pilot or pilot_of(case, request)
             frame = frame_cost(
                 case.camera, case.settings.pixel.pitch_um, group.display, *case.further_displays
             )
             seconds += (
-                render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
+                render_seconds(request.plan, request.shape, cores, pilot, frame.seconds)
+                + repeats * frame.seconds / cores
             )
             largest_bytes = max(
                 largest_bytes, render_bytes(request.plan, request.shape) + frame.memory_bytes
@@ -141,7 +145,7 @@ def _case_data(case: Case[Run]) -> dict[str, Any]:
 
 
 def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
-    """Return the answer of a dry run, with an estimate of time and memory; nothing is rendered or
+    """Return the answer of a dry run, with an estimate of time and memory; nothing is
     written.
 
     out : folder that would be written

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 
 def run_outline(prepared: Job[Run]) -> dict[str, Any]:
-    """Return what a run would do; nothing is rendered or written."""
+    """Return what a run would do, from a small pilot render at most; nothing is written."""
     planned = planned_run(prepared)
     return _common_entries(prepared, prepared.file, prepared.stated.camera) | planned
 
 
 def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
-    """Return what a study would do; nothing is rendered or written. `planned_study` describes the
+    """Return what a study would do; nothing is written. `planned_study` describes the
     arguments.
     """
     return _common_entries(job, job.settings.scene.file, job.settings.camera) | planned_study(
@@ -98,6 +98,13 @@ def _light_rows(outline: dict[str, Any]) -> Iterator[tuple[str, str]]:
     rows, columns = film["samples"]
     yield "film", f"{columns} × {rows} samples of {film['pitch_um']:.3g} µm"
 
+    rays = outline.get("errors", {}).get("rays_over_limit")
+    if rays is not None and rays > 1:
+        yield (
+            "errors",
+            f"will not converge: the tolerances need about {rays:g} times the limit of rays; state"
+            " --max-seconds or a larger --tolerance-delta-e",
+        )
     share = outline.get("errors", {}).get("film_share")
     if share is not None and share > TOLERATED_SHARE:
         yield (

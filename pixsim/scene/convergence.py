@@ -366,6 +366,53 @@ def render_until(
     return Rendered(image, noise, bare, halves)
 
 
+@dataclass(frozen=True)
+class Pilot:
+    """What a render of a part of a picture tells of the render of the whole.
+
+    start_s : until the first sample is traced: the scene is loaded, its kernels are compiled
+    samples_per_s : samples traced in a second
+    samples : that the whole picture needs for its tolerances, at least four renders; infinite if
+        none are enough
+    """
+
+    start_s: float
+    samples_per_s: float
+    samples: float
+
+
+def pilot_render(
+    scene: Scene, camera: Camera, plan: Plan, answers: Answers, share: float, seed: int = 0
+) -> Pilot:
+    """Render a part of a picture as the whole would begin, and tell the samples and the time of the
+    whole.
+
+    scene, camera, plan : of the part, with as many samples in a cell as the whole
+    answers : that are asked of the part
+    share : area of the part over that of the whole: what scatters over the whole is as much less
+    """
+    start_s = time.perf_counter()
+    renderer = Renderer(scene, camera, plan, seed)
+    renderer.run(_QUARTERS)
+    begun_s = time.perf_counter()
+    quarters = _Quarters(renderer)
+    quarters.add(_group(quarters, 0, _Reporter(None, 1.0), (0, 1)))
+    traced_s = time.perf_counter() - begun_s
+
+    demand = _Demand(answers, None)
+    demand.measure([quarters])
+    factors = [
+        replace(error, deviation=error.deviation * math.sqrt(share)).samples_factor
+        for error in demand.errors.values()
+    ]
+    samples = quarters.samples * plan.light.passes * math.prod(renderer.rendered_size)
+    return Pilot(
+        start_s=begun_s - start_s,
+        samples_per_s=samples / traced_s,
+        samples=samples / share * max(1.0, *factors) if factors else math.inf,
+    )
+
+
 def _exact(
     renderers: Sequence[Renderer], render_noise: float | None, progress: Progress | None
 ) -> Rendered:

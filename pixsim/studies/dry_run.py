@@ -1,25 +1,37 @@
 """What a command would do, before a render: its film, its pixels, its errors, its memory, and its
 time to a factor of about 3.
+
+Where paths are traced, their time and the samples that the tolerances need are not known before
+some are: a pilot traces the middle of the picture, in about a second.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.digits import counted, duration
 from pixsim.base.machine import processors
 from pixsim.base.mapped import MAX_MEMORY_BYTES
+from pixsim.base.notes import suppressed_warnings
 from pixsim.optics.camera import Camera
-from pixsim.scene.film import PROGRAM_BYTES, film_bytes, film_memory_bytes
+from pixsim.scene.convergence import Pilot, pilot_render
+from pixsim.scene.film import BLOCK, PROGRAM_BYTES, film_bytes, film_memory_bytes
 from pixsim.scene.plan import Plan
 from pixsim.sensor.integration import pixels_on
-from pixsim.studies.design import FrameCost, frame_cost, light_hash, metrics_of, study_pitches_um
+from pixsim.studies.design import (
+    Case,
+    FrameCost,
+    frame_cost,
+    light_hash,
+    metrics_of,
+    study_pitches_um,
+)
 from pixsim.studies.engine import BASE_BYTES, jobs_in_memory, workers_here
 from pixsim.studies.film_error import film_error, samples_per_dot
-from pixsim.studies.lights import LightRequest
+from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import NOISE_SENSORS
 from pixsim.studies.settings import Study
 from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS
@@ -35,6 +47,12 @@ if TYPE_CHECKING:
 START_S = 1.5
 _KERNEL_S = 2.0
 _SAMPLE_S = 2e-7
+# A pilot: a share of the picture across, and cells at least.
+_PILOT_SHARE = 8
+_PILOT_ACROSS = 64
+_MIN_DOTS = 8
+# Scores of a light, its halves and its quarters, and of the film and the halves on other films.
+_SCORES_OF_NOISE = 7 + 3 * 6
 _CELL_S = 5e-7
 _LENS_CELL_S = 5e-6
 PAGE_S = 3.0
@@ -70,20 +88,54 @@ class Cost:
         )
 
 
-def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
-    """Estimate the seconds of rendering a light on a film of (H, W) samples, and of the
-    computations that follow once.
+def render_seconds(
+    plan: Plan, shape: tuple[int, int], cores: int, pilot: Pilot | None, score_s: float
+) -> float:
+    """Estimate the seconds of rendering a light on a film of (H, W) samples, and of measuring its
+    errors.
 
-    Two renders show the noise. A film whose error turns out too large is rendered again, which is
-    not foreseen.
+    A film whose error turns out too large is rendered again, which is not foreseen.
+
+    pilot : of a part of the picture, or None where no paths are traced
+    score_s : of the score of one frame on one core
     """
     cells = math.prod(shape)
-    samples = 0.0 if plan.samples.exact else 2.0 * cells * plan.samples.spp * plan.light.passes
-    if plan.many_bounces:
-        samples = max(samples, float(plan.most_samples))
     cell_s = _CELL_S if plan.film.tiling is None else _LENS_CELL_S
-    kernels_s = 0.0 if plan.samples.exact else _KERNEL_S * len(plan.light.lamps)
-    return kernels_s + samples * _SAMPLE_S / cores + cells * cell_s
+    film_s = cells * cell_s
+    if pilot is None:
+        samples = 0.0 if plan.samples.exact else 4.0 * cells * plan.samples.spp * plan.light.passes
+        kernels_s = 0.0 if plan.samples.exact else _KERNEL_S * len(plan.light.lamps)
+        return kernels_s + samples * _SAMPLE_S / cores + film_s
+    samples = min(pilot.samples, float(plan.most_samples))
+    scores_s = _SCORES_OF_NOISE * (score_s + film_s)
+    return pilot.start_s + samples / pilot.samples_per_s + scores_s / cores
+
+
+def pilot_of(case: Case[Any], request: LightRequest) -> Pilot | None:
+    """Return the pilot render of the light of a case: of the middle of its picture, an eighth
+    across; None for a light without noise.
+    """
+    if request.plan.samples.exact:
+        return None
+    _, width = request.shape
+    across = max(_PILOT_ACROSS, width // _PILOT_SHARE // BLOCK * BLOCK)
+    if across >= width:
+        return None
+    camera = case.camera.window(case.camera.die_mm * across / width)
+    dots = max(_MIN_DOTS, round(case.settings.display.dots * across / width))
+    display = case.settings.display.model_copy(update={"dots": dots})
+    settings = case.settings.model_copy(update={"display": display})
+    scene = request.first.with_resolution(across)
+    part = light_request(replace(case, settings=settings, resolved=(scene, camera)))
+    with suppressed_warnings():  # the command itself warns
+        return pilot_render(
+            part.first,
+            camera,
+            replace(part.plan, samples=request.plan.samples),
+            part.answers,
+            share=(across / width) ** 2,
+            seed=settings.seed,
+        )
 
 
 def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
@@ -133,17 +185,23 @@ def largest_frame_bytes(cases: Sequence[tuple[Study, Camera]]) -> float:
 
 
 def _run_cost(
-    plan: Plan | None, shape: tuple[int, int], cores: int, evaluations: int, frame: FrameCost
+    plan: Plan | None,
+    shape: tuple[int, int],
+    cores: int,
+    evaluations: int,
+    frame: FrameCost,
+    pilot: Pilot | None = None,
 ) -> Cost:
     """Estimate a run.
 
     plan : of its render, or None for a picture that is read
     shape : (H, W) of the film or the picture
+    pilot : of the render
     """
     render_s = 0.0
     light_bytes = 0.0
     if plan is not None:
-        render_s = render_seconds(plan, shape, cores)
+        render_s = render_seconds(plan, shape, cores, pilot, frame.seconds)
         light_bytes = render_bytes(plan, shape)
     seconds = START_S + render_s + evaluations * frame.seconds
     return Cost(int(plan is not None), evaluations, seconds, light_bytes + frame.memory_bytes, 1)
@@ -157,6 +215,7 @@ def _study_cost(
     jobs: int | None = None,
     types: int = 0,
     further_evaluations: int = 0,
+    pilot: Pilot | None = None,
 ) -> Cost:
     """Estimate a study with its cases and its report, without further rounds for a target interval.
 
@@ -164,6 +223,7 @@ def _study_cost(
     plan, shape : of the first light, and (H, W) of its film
     types : sensor types of each case, beside the study itself
     further_evaluations : evaluations of its frames on further displays
+    pilot : of the first light
     """
     costs: dict[Any, list[FrameCost]] = {}
     frames = [_frame_costs(study, camera, costs) for study, camera in cases]
@@ -181,7 +241,8 @@ def _study_cost(
     evaluations += further_evaluations
 
     curves = sum(len(study.technologies) for study, _ in cases)
-    renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
+    largest_s = max(frame.seconds for case_frames in frames for frame in case_frames)
+    renders_s = lights * render_seconds(plan, shape, workers_here().jobs, pilot, largest_s)
     seconds = (
         START_S + PAGE_S + renders_s + frames_s / jobs + _CURVE_S * min(curves, _MAX_DRAWN_CURVES)
     )
@@ -201,7 +262,7 @@ def _study_cost(
 
 
 def planned_run(prepared: Job[Run]) -> dict[str, Any]:
-    """Return the film, errors, pixels and cost of a run; nothing is rendered."""
+    """Return the film, errors, pixels and cost of a run."""
     settings = prepared.settings
     camera = prepared.camera
     frames = prepared.frames
@@ -209,17 +270,19 @@ def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     pitch_um = settings.pixel.pitch_um
     picture = prepared.cases[0].picture
     plan: Plan | None = None
+    pilot: Pilot | None = None
     if picture is None:
         plan = prepared.request.plan
         shape = prepared.request.shape
-        planned = _planned_light(prepared.request)
+        pilot = pilot_of(prepared.cases[0], prepared.request)
+        planned = _planned_light(prepared.request, pilot)
     else:
         shape = picture.shape[0], picture.shape[1]
         planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
 
     frame = frame_cost(camera, pitch_um, settings.display)
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
-    cost = _run_cost(plan, shape, processors().usable, evaluations, frame)
+    cost = _run_cost(plan, shape, processors().usable, evaluations, frame, pilot)
     if frames > 1:
         planned["frames"] = frames
     planned["sensors"] = [_planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)]
@@ -243,7 +306,7 @@ def _planned_sensors(
 
 
 def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
-    """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
+    """Return the film, errors, evaluations, cases and cost of a study.
 
     jobs : processes. None means as many as it would take
     types : number of sensor types of --uncertainty or --sobol
@@ -255,15 +318,16 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     # Each metric has pixel sizes of its own.
     drawn_types = types * sum(metric.has_optimum for metric in metrics_of(study).chosen)
     further_evaluations = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
+    pilot = pilot_of(job.cases[0], request)
     cost = _study_cost(
-        cases, lights, request.plan, request.shape, jobs, drawn_types, further_evaluations
+        cases, lights, request.plan, request.shape, jobs, drawn_types, further_evaluations, pilot
     )
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [
         _planned_sensors(name, pitches_um, study.repeats, job.camera)
         for name, pitches_um in sizes.items()
     ]
-    planned = _planned_light(request) | {"sensors": sensors, "estimate": asdict(cost)}
+    planned = _planned_light(request, pilot) | {"sensors": sensors, "estimate": asdict(cost)}
     planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
@@ -277,7 +341,7 @@ def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     return planned
 
 
-def _planned_light(request: LightRequest) -> dict[str, Any]:
+def _planned_light(request: LightRequest, pilot: Pilot | None) -> dict[str, Any]:
     """Return the film of a light, and the limits of its errors that hold before the render.
 
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of
@@ -286,6 +350,7 @@ def _planned_light(request: LightRequest) -> dict[str, Any]:
     rays_a_pixel : limit of the rays on each pixel, of all passes together, or None if only time
         limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise, or None without one
+    rays_over_limit : rays that the tolerances need, over the limit of the rays; None without noise
     """
     height, width = request.shape
     plan = request.plan
@@ -301,10 +366,14 @@ def _planned_light(request: LightRequest) -> dict[str, Any]:
         max_rays_per_pixel = None
     if plan.samples.exact:
         max_rays_per_pixel = 0.0
+    rays_over_limit: float | None = None
+    if pilot is not None and not settings.max_seconds and math.isfinite(pilot.samples):
+        rays_over_limit = float(f"{pilot.samples / plan.most_samples:.2g}")
     errors = {
         "film_share": film_error(0.0, 0.0, 1.0, dot_samples),
         "rays_a_pixel": max_rays_per_pixel,
         "render_noise": settings.render_noise,
+        "rays_over_limit": rays_over_limit,
     }
     film = {
         "samples": [height, width],

@@ -213,6 +213,22 @@ def test_bias_of_any_order_is_taken_off() -> None:
         assert error.bias_error == pytest.approx(0, abs=1e-12) or order < 1
 
 
+def test_pilot_tells_the_samples_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a quarter of 64 × 64 cells, 16 samples each, with a bias b of 1/16.
+
+    An error is |b| + 2 b², for the bend of √(1 - 2 b²), and 3.18 deviations, of 4.4 % of 4 b in each
+    of four quarters, over the root of four parts. It is known to about 20 %, from four quarters.
+    """
+    Noisy(monkeypatch)
+    tolerated = 0.003
+    pilot = convergence.pilot_render(*prepared("csf"), Roughness(False, tolerated), share=0.25)
+    bias = 1 / 16
+    scatter = 3.18 * 0.044 * 4 * bias / math.sqrt(4) / math.sqrt(4)
+    systematic = bias + 2 * bias**2
+    root = (scatter + math.sqrt(scatter**2 + 4 * tolerated * systematic)) / (2 * tolerated)
+    assert pilot.samples == pytest.approx(64 * 64 * 16 * root**2, rel=0.25)
+
+
 @pytest.mark.parametrize("noise", [0.1, 1.0])
 def test_noise_is_taken_off_a_distance_as_squares_add(noise: float) -> None:
     """A part is √(a + b v); one of places whose noise differs fourfold bends, within its error."""

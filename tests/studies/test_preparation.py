@@ -378,14 +378,35 @@ def test_fit_beside_a_steep_flank() -> None:
 # --- dry run and cost
 
 
-@pytest.mark.parametrize("line", ["run csf", "study chen2000", "run macbeth --window 1"])
-def test_dry_run_renders_and_writes_nothing(
+@pytest.mark.parametrize("line", ["run csf", "study chen2000", "run siemens_star"])
+def test_dry_run_of_a_chart_renders_and_writes_nothing(
     line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Renderer, "run", lambda *_, **__: pytest.fail("rendered"))
     monkeypatch.chdir(tmp_path)
     _, out, err = command(f"{line} --dry-run --json")
     assert json.loads(out)["estimate"]["seconds"] > 1, err
+    assert not list(tmp_path.iterdir())
+
+
+def test_dry_run_of_paths_traces_a_small_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An eighth of the picture across, five times; with .01 ΔE asked, it says what is missing."""
+    monkeypatch.chdir(tmp_path)
+    sizes: list[tuple[int, int]] = []
+    run = Renderer.run
+
+    def counted(renderer: Renderer, *arguments: Any) -> Any:
+        sizes.append(renderer.size)
+        return run(renderer, *arguments)
+
+    monkeypatch.setattr(Renderer, "run", counted)
+    _, out, _ = command(
+        "run cornell_box --resolution 512 --tolerance-delta-e 0.0001 --dry-run --json"
+    )
+    assert sizes == [(64, 64)] * 5
+    assert json.loads(out)["errors"]["rays_over_limit"] > 10
     assert not list(tmp_path.iterdir())
 
 
