@@ -8,7 +8,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 # Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a
 # run share the cores.
@@ -150,7 +149,7 @@ def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     of_small_light: list[Frame] = []
     capture, view = ImagingChain.capture, Development.score
 
-    def captured(chain: ImagingChain, *key: object, **more: Any) -> Frame:
+    def captured(chain: ImagingChain, *key: object, **more) -> Frame:
         frame = capture(chain, *key, **more)
         of_small_light.extend([frame] * (key == STREAM))
         return frame

@@ -19,7 +19,6 @@ import zipfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -160,7 +159,7 @@ def write_lying_npz(path: Path) -> None:
 WINDOW = struct.pack("<4i", 0, 0, 4, 3)  # of the texels
 
 
-def write_light(path: Path, header: dict[str, Any] | None = None, side: int | None = None) -> None:
+def write_light(path: Path, header: dict | None = None, side: int | None = None) -> None:
     """Write an EXR of light with other entries of its header, or another size than it has."""
     image = light()
     image.header |= header or {}
@@ -222,7 +221,7 @@ def read_edge(path: Path) -> object:
 
 
 # Name of a file, its content or what writes it, its readers, words of the message.
-HOSTILE: list[tuple[str, bytes | Callable[[Path], None], tuple[Callable[[Path], Any], ...], str | None]] = [
+HOSTILE: list[tuple[str, bytes | Callable[[Path], None], tuple[Callable, ...], str | None]] = [
     *(("a.toml", content, TOML_READERS, r"a\.toml") for content in TOMLS.values()),
     *(("a.npz", partial(npz, data=data, **LIGHT), (read_picture,), r"a\.npz") for data in ARRAYS),
     *(("a.npy", data, (read_edge,), None) for data in ARRAYS),
@@ -588,7 +587,7 @@ SURF 2
 """
 STUDY = 'name = "x"\n{}\n'
 SETTINGS = '"camera.f_number",' * 40_000
-READERS: dict[str, tuple[Callable[[str], Any], str]] = {
+READERS: dict[str, tuple[Callable, str]] = {
     "curve": (as_quantum_efficiency, ".csv"),
     "curves": (AS_CURVES["quantum_efficiencies"], ".csv"),
     "chief rays": (as_chief_ray_angles, ".csv"),

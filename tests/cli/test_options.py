@@ -7,7 +7,6 @@ from collections.abc import Callable
 from copy import copy
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 from cyclopts import Argument, CoercionError, Token
@@ -98,7 +97,7 @@ def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:
         checked(pixsim.Motion, [file, Layer({"velocity_mm_per_s": "300"})])
 
 
-def converted(argument: Argument, *texts: str) -> list[Any]:
+def converted(argument: Argument, *texts: str) -> list:
     """What a command gets of an option that is given once for each text."""
     fresh = copy(argument)  # an argument keeps its first result
     fresh.tokens = [
@@ -284,7 +283,7 @@ def test_command_missing_folder_is_named(
 # ---------------------------------------------------------------------------------------------------
 
 # Command -> its function, and the record whose fields it takes as further keywords.
-FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
+FUNCTIONS: dict[str, tuple[Callable, type[BaseModel] | None]] = {
     "run": (pixsim.run, Run),
     "study": (pixsim.study, pixsim.Study),
     "compare": (pixsim.compare, pixsim.Study),

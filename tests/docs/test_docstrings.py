@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass
 from functools import cache, cached_property
-from typing import Any
 
 import pytest
 from helpers.public_names import CLASSES, PUBLIC, fields
@@ -159,7 +158,7 @@ def called(node: ast.AST) -> set[str]:
     }
 
 
-def function_of(thing: Any) -> Any:
+def function_of(thing):
     """The function behind a method or property, or None."""
     if isinstance(thing, property):
         return thing.fget
@@ -181,7 +180,7 @@ def description_of(name: str, text: str) -> str:
     return entry[1] if entry else text if is_in_prose else ""
 
 
-def complaints(name: str, function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
+def complaints(name: str, function: Callable) -> Iterator[tuple[str, str]]:
     """(rule, what is missing) for a function or a property's getter."""
     text = inspect.cleandoc(function.__doc__ or "")
     if not text:

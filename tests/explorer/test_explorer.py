@@ -19,7 +19,6 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -57,24 +56,24 @@ CONTROLLED_FIELDS = {
 }
 
 
-def answers(session: Session, request: PageRequest) -> list[dict[str, Any]]:
+def answers(session: Session, request: PageRequest) -> list[dict]:
     """What is sent for a request."""
-    sent: list[dict[str, Any]] = []
+    sent: list[dict] = []
     session.send = sent.append
     session.answer(request)
     return sent
 
 
-def pixels(uri: str) -> NDArray[Any]:
+def pixels(uri: str) -> NDArray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
 
 
-def with_pictures(messages: list[dict[str, Any]]) -> dict[str, Any]:
+def with_pictures(messages: list[dict]) -> dict:
     """The first message with pictures."""
     return next(message for message in messages if "pictures" in message)
 
 
-def final(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def final(messages: list[dict]) -> list[dict]:
     """The messages whose errors are measured, one for each sensor."""
     return [message for message in messages if message.get("sure")]
 
@@ -88,7 +87,7 @@ def assert_repeats(words: list[object], out: Path, pictures: dict[str, str]) -> 
 
 
 @pytest.fixture(scope="module")
-def answered() -> tuple[Session, list[dict[str, Any]]]:
+def answered() -> tuple[Session, list[dict]]:
     session = Session("csf", (), SMALL)
     return session, answers(session, PageRequest(1, ((0, CONTROLLED_FIELDS),)))
 
@@ -173,9 +172,9 @@ def test_only_the_last_settings_count():
     """Other settings come while the first ones are computed: nothing more is said of these, and the
     curve of them ends.
     """
-    session, sent = Session("csf", (), SMALL), list[dict[str, Any]]()
+    session, sent = Session("csf", (), SMALL), []
 
-    def send(message: dict[str, Any]) -> None:
+    def send(message: dict) -> None:
         sent.append(message)
         if message["number"] == 1 and "point" in message:
             for number, pitch_um in ((2, 60.0), (3, 50.0)):
@@ -291,7 +290,7 @@ def address_in(file: Path) -> tuple[int, str]:
 
 
 @contextlib.contextmanager
-def page_of(session: Session) -> Iterator[Any]:
+def page_of(session: Session) -> Iterator:
     """A session that is served, and computed in a thread."""
     with server.served(session) as file:
         port, token = address_in(file)
@@ -311,7 +310,7 @@ def connect_to(port: int, host: str, path: str = "/") -> http.client.HTTPConnect
     return connection
 
 
-def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
+def socket_of(port: int, origin: str | None, host: str | None = None):
     """A WebSocket as a page of an origin opens it, by a name of this machine."""
     connection = socket.create_connection(("127.0.0.1", port))
     return connect(
@@ -323,7 +322,7 @@ def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
 
 
 @contextlib.contextmanager
-def opened_page(page: Any) -> Iterator[Any]:
+def opened_page(page) -> Iterator:
     """The WebSocket of the page itself, after its greeting."""
     with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
         opened.send(json.dumps({"token": page.token}))
@@ -332,7 +331,7 @@ def opened_page(page: Any) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[Any]:
+def page() -> Iterator:
     with page_of(Session("csf", (), SMALL)) as served_page:
         yield served_page
 
@@ -396,7 +395,7 @@ def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
             opened.send(bad)
             assert "page: got" in json.loads(opened.recv(timeout=HANG_S))["error"], bad[:80]
         opened.send(REQUEST % (2, 0, ""))
-        messages: list[dict[str, Any]] = [{}]
+        messages: list[dict] = [{}]
         while not messages[-1].get("done"):
             messages.append(json.loads(opened.recv(timeout=HANG_S)))
         assert [message["sure"] for message in messages if "sure" in message] == [False, True]
@@ -593,7 +592,7 @@ def test_page_fits_and_axe_finds_nothing(width, scheme, tab):
     assert smallest_px >= MIN_TEXT_PX
     if not tab.value("typeof axe === 'object'"):
         tab.value(f"{Path(AXE).read_text(encoding='utf-8')}; 1")
-    violations: list[Any] = tab.value(
+    violations: list = tab.value(
         "axe.run(document, {resultTypes: ['violations'], runOnly:"
         f" {json.dumps(AXE_TAGS)}}}).then(found => found.violations.flatMap(each =>"
         " each.nodes.map(node => [each.id, node.target.join(' '), node.failureSummary])))"

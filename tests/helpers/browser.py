@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from helpers.processes import HANG_S
@@ -112,7 +111,7 @@ def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[st
     own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")} | {
         "HOME": f"{folder}/profile"
     }
-    options: dict[str, Any] = {
+    options: dict = {
         "capture_output": True,
         "encoding": "utf-8",
         "errors": "replace",
@@ -124,7 +123,7 @@ def browse(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[st
 
 def in_frames(
     script: str, sources: list[str], height: int, folder: Path, *arguments: str, **names: str
-) -> list[Any]:
+) -> list:
     """Results of a script in frames (`width="…" src="…"`), which it writes to the title as JSON;
     the console has no errors.
     """
@@ -135,7 +134,7 @@ def in_frames(
     assert "CONSOLE" not in done.stderr, done.stderr
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
     assert title
-    results: list[Any] = json.loads(html.unescape(title[1]))
+    results: list = json.loads(html.unescape(title[1]))
     assert len(results) == len(sources)
     return results
 
@@ -204,7 +203,7 @@ def assert_sliders_move(
                 assert met == expected, (view.width, value)
 
 
-def print_page(page: Path, folder: Path) -> Any:
+def print_page(page: Path, folder: Path):
     """The page printed to PDF, as pypdf reads it."""
     PdfReader = pytest.importorskip("pypdf", reason="pypdf is not installed").PdfReader
     target = folder / "page.pdf"
@@ -234,16 +233,12 @@ def assert_prints(
         lines: dict[float, str] = {}
         boxes: list[tuple[float, float, float, float]] = []
 
-        def words(
-            part: str, cm: Any, tm: Any, font: Any, size: float, lines: dict[float, str] = lines
-        ) -> None:
+        def words(part: str, cm, tm, font, size: float, lines: dict[float, str] = lines) -> None:
             if part.strip():
                 place = float(round(tm[4] * cm[1] + tm[5] * cm[3] + cm[5]))
                 lines[place] = lines.get(place, "") + part
 
-        def operand(
-            name: bytes, args: Any, cm: Any, tm: Any, boxes: list[Any] = boxes, sheet: Any = sheet
-        ) -> None:
+        def operand(name: bytes, args, cm, tm, boxes: list = boxes, sheet=sheet) -> None:
             if name == b"Do" and sheet["/Resources"]["/XObject"][args[0]]["/Subtype"] == "/Image":
                 x, y = (sorted((cm[at], cm[at] + cm[at - 4] + cm[at - 2])) for at in (4, 5))
                 boxes.append((x[0], y[0], x[1], y[1]))
@@ -305,7 +300,7 @@ class Tab:
         self.call("Runtime.enable")
         self.call("Log.enable")
 
-    def call(self, method: str, **parameters: Any) -> Any:
+    def call(self, method: str, **parameters):
         self.number += 1
         self.socket.send(json.dumps({"id": self.number, "method": method, "params": parameters}))
         while (answer := json.loads(self.socket.recv(timeout=HANG_S))).get("id") != self.number:
@@ -317,7 +312,7 @@ class Tab:
         assert "error" not in answer, answer
         return answer["result"]
 
-    def value(self, script: str) -> Any:
+    def value(self, script: str):
         """The value of an expression of JavaScript, or that of its promise."""
         found = self.call(
             "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ from pixsim.sensor.reading import Readout, dark_spread_e
 from pixsim.sensor.readout import frame_mean_dn, frame_variance_dn2, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
-SMALL: dict[str, Any] = {"shape": (40, 40), "stack_frames": 8}
+SMALL = {"shape": (40, 40), "stack_frames": 8}
 D5100 = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 
 
@@ -547,7 +546,7 @@ def test_standard_errors_of_colour_match_repeats(colour: dict[str, object]) -> N
 # Notes and limits: pixel, words of the note, lines that are missing, lines that are there
 
 
-def bells(centres_nm: tuple[float, ...], width_nm: float, blue: float = 1.0) -> dict[str, Any]:
+def bells(centres_nm: tuple[float, ...], width_nm: float, blue: float = 1.0) -> dict:
     """Return curves of R, G and B, the last one `blue` times as high."""
     bands_nm = np.arange(400.0, 701.0, 10.0)
     curves = {

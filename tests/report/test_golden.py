@@ -15,7 +15,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -103,7 +102,7 @@ class Answer:
         return (self.folder / "report.html").read_text(encoding="utf-8")
 
     @property
-    def data(self) -> dict[str, Any]:
+    def data(self) -> dict:
         """The JSON beside the page, or what was printed."""
         files = [self.folder / name for name in ("score.json", "compare.json", "summary.json")]
         text = next((path.read_text(encoding="utf-8") for path in files if path.exists()), self.out)

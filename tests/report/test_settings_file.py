@@ -8,7 +8,6 @@ import shlex
 import tomllib
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
@@ -110,7 +109,7 @@ def test_command_of_settings_makes_the_same_numbers(
     numbers: tuple[str, ...],
     desk: Path,
     tmp_path: Path,
-    monkeypatch: Any,
+    monkeypatch,
 ) -> None:
     """The command in settings.toml, in its folder, gives every number again, bit for bit, also
     after that is moved with the files that it names.
@@ -186,12 +185,12 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
 RECORDS = {"sensor": Run, "study": Study}
 
 
-def uncommented(text: str) -> dict[str, Any]:
+def uncommented(text: str) -> dict:
     """The table of a template with all commented fields set."""
     return tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE))
 
 
-def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
+def dotted(table: dict, record: type[BaseModel], path: str = "") -> set[str]:
     """Dotted names of the fields of a table; all fields of an inner record if the table does not
     list them.
     """

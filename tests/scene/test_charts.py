@@ -5,7 +5,6 @@ colour, and the light of targets in closed form.
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import colour
 import numpy as np
@@ -369,7 +368,7 @@ def test_target_light_is_linear_in_contrast(contrast):
 
 
 @pytest.mark.parametrize("parameters", [{}, {"shape": "bar", "size_um": 3}, {"shape": "edge"}])
-def test_target_without_contrast_is_even_field(parameters: dict[str, Any]) -> None:
+def test_target_without_contrast_is_even_field(parameters: dict) -> None:
     """Bit for bit the light of the scene flat, which has no target, whatever the target would
     be.
     """
@@ -421,7 +420,7 @@ def test_light_of_a_target_is_its_area_times_the_irradiance(
     # on, on or between samples. The fall-off takes 1e-4 of the longest bar; float32 holds 6e-8 of
     # the background, 2e-6 of the smallest disc.
     size_um = samples * SAMPLE_UM
-    fields: dict[str, Any] = {"shape": shape, "size_um": size_um}
+    fields: dict = {"shape": shape, "size_um": size_um}
     if widths is not None:
         fields["length_um"] = widths * size_um
     if shape == "lines":  # which are as bright as the field, so that their gap is a bar
@@ -443,9 +442,7 @@ def test_light_of_a_target_is_its_area_times_the_irradiance(
         ),
     ],
 )
-def test_bars_and_edges_have_a_direction(
-    parameters: dict[str, Any], lit: tuple[slice, slice]
-) -> None:
+def test_bars_and_edges_have_a_direction(parameters: dict, lit: tuple[slice, slice]) -> None:
     """A vertical bar is 5 times as tall as wide; the target of an edge is right, or below."""
     upright, lying = (
         difference(contrast=1, direction=direction, **parameters)

@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -322,7 +321,7 @@ def with_sky(folder: Path) -> Path:
     return folder
 
 
-def drawn(**parameters: object) -> Any:
+def drawn(**parameters: object):
     return make_render_plan(load("target", **parameters).with_resolution(128), exact=True)
 
 
@@ -494,7 +493,7 @@ REFUSED = partial(
     ],
 )  # fmt: skip
 def test_reflectance_above_1_is_warned_of_and_above_1_5_refused(
-    xml: str, value: float, outcome: Callable[[], Any], tmp_path: Path
+    xml: str, value: float, outcome: Callable, tmp_path: Path
 ) -> None:
     """With its place."""
     (tmp_path / "a.spd").write_text(f"400 {value}\n700 {value}\n", encoding="utf-8")

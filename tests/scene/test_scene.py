@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -451,7 +450,7 @@ OF_MITSUBA = {
 }
 
 
-def agree(mine: Any, theirs: Any) -> bool:
+def agree(mine, theirs) -> bool:
     """Return whether a plain value equals Mitsuba's, bit for bit."""
     if isinstance(mine, list):
         return np.array_equal(np.array(mine), np.array(theirs))
@@ -530,13 +529,13 @@ SIGN = (
     .replace('target="0,0,0', 'target="0,0.05,0')
     .replace("rectangle", "disk")
 )
-PIXEL: dict[str, Any] = {
+PIXEL = {
     "technology": "4t-bsi",
     "pitch_um": 21.2,
     "quantum_efficiency": [[400, 0.6], [1000, 0.2]],
     "black_level_dn": 60,
 }
-SMALL: dict[str, Any] = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
+SMALL = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
 
 
 def plate_file(folder: Path, *contents: str) -> Path:

@@ -6,7 +6,7 @@ import re
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import colour
 import numpy as np
@@ -309,7 +309,7 @@ def around(row: float, column: float, half: float = 0.02) -> tuple[slice, slice]
 
 A_OVER_D65 = in_pulses("a") / in_pulses("d65")
 # step: (where, radiance over radiance before, relative or absolute tolerance)
-RATIOS: dict[str, list[tuple[Any, ArrayLike, float]]] = {
+RATIOS: dict[str, list[tuple[object, ArrayLike, float]]] = {
     # Of patches, as test_macbeth_patches_match_tables has them
     "another_lamp": [(patch(6), A_OVER_D65, 2e-3), (patch(12), A_OVER_D65, 2e-3)],
     "another_reflectance": [

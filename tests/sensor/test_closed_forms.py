@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -83,7 +82,7 @@ from pixsim.sensor.technology import load_technology, with_fill_factor_law
 T035 = load_technology("0.35um")
 SIGNAL_E, TIME_S = 15_000.0, 0.1
 # Each number is a different one, so that a term with another's factor shows.
-NOISY: dict[str, Any] = {
+NOISY = {
     "technology": "none",
     "pitch_um": 2.0,
     "full_well_e": 40_000.0,
@@ -106,15 +105,15 @@ HOT_MEAN = 5 * math.exp(0.4**2 / 2)
 ORDINARY = 1 / (0.97 + 0.03 * HOT_MEAN)
 
 
-def physics(**over: Any) -> PixelPhysics:
+def physics(**over) -> PixelPhysics:
     return derive(Pixel(**NOISY | over))
 
 
-def readout(*, exposure: Exposure | None = None, **over: Any) -> Readout:
+def readout(*, exposure: Exposure | None = None, **over) -> Readout:
     return Readout.of(physics(**over), exposure)
 
 
-def pixel_035(**options: Any) -> PixelPhysics:
+def pixel_035(**options) -> PixelPhysics:
     return derive(Pixel(pitch_um=6.5, **options), T035)
 
 
@@ -458,7 +457,7 @@ CODES = [
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 
 
-def of_process(name: str, **options: Any) -> PixelPhysics:
+def of_process(name: str, **options) -> PixelPhysics:
     return derive(Pixel(technology=name, pitch_um=PITCHES_UM[name], **options))
 
 
@@ -712,7 +711,7 @@ CURRENTS_E_PER_S = np.logspace(-3, 17, 41)[:, None]
 TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
 
 
-def level_share(name: str, share: Any, **options: Any) -> np.ndarray:
+def level_share(name: str, share, **options) -> np.ndarray:
     """Signal level after 30 ms of a charge, both as shares of the full well."""
     reading = Readout.of(of_process(name, conversion="junction", **options))
     charge_e = np.asarray(share) * reading.full_well_e
@@ -886,12 +885,12 @@ PHOTODIODES = [
 ]
 
 
-def decibels(pitch_um: float, capacitance: Any) -> list[float]:
+def decibels(pitch_um: float, capacitance) -> list[float]:
     reading = Readout.of(derive(Pixel(pitch_um=pitch_um, capacitance=capacitance)))
     return [reading.dynamic_range_db(0.03), reading.snr_db(0.2 * reading.full_well_e, 0.03)]
 
 
-def sensitivity_e_per_lx_s_um2(reading: Any, cut_nm: float | None) -> float:
+def sensitivity_e_per_lx_s_um2(reading, cut_nm: float | None) -> float:
     """Sensitivity under D65 on the photodiode, by a sum in steps of 1 nm."""
     nm = np.arange(360.0, 831.0)
     efficiency = pixel_035(response=reading, infrared_cut_nm=cut_nm).quantum_efficiency(nm)
@@ -1007,7 +1006,7 @@ QUIET_SHEET = {
 }
 
 
-def unstated(gain_db: float = 0.0, silent: tuple[str, ...] = (), **over: Any) -> float:
+def unstated(gain_db: float = 0.0, silent: tuple[str, ...] = (), **over) -> float:
     """Black level of a data sheet, which states none, with 20 e- of noise and 15 e- of offsets."""
     offsets = {"offset_fpn": None, "column_fpn": None, "dsnu_e": 15.0}
     sheet = QUIET_SHEET | offsets | {"black_level_dn": None} | over
@@ -1291,7 +1290,7 @@ FLAT_E = 0.6 * 40_000 - DARK_E
 PART = SIGNAL_E / FLAT_E
 
 
-def residual(**correction: Any) -> list[float]:
+def residual(**correction) -> list[float]:
     terms = residual_variance_e2(SIGNAL_E, TIME_S, readout(), Correction(**correction))
     return [float(term) for term in (terms.temporal, terms.offsets, terms.flat, terms.gain)]
 

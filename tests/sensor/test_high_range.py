@@ -7,7 +7,6 @@ Statistical gates are the .1 and 99.9 % points with fixed seeds, or 4 standard e
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MergedFrame, capture_from_rates, sample_sensor
 from pixsim.viewer.noise_budget import noise_budget
 
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 2.8,
     "full_well_e": 22000,
     "read_noise_e": 0.83,
@@ -40,14 +39,14 @@ SHEET: dict[str, Any] = {
 DUAL = {"kind": "dual_gain", "conversion_gain_uv_per_e": [200, 49], "read_noise_e": [0.83, 3.05]}
 
 
-def pixel(readout: dict[str, Any] | None, *, at_limit: bool = False, **over: Any) -> Pixel:
+def pixel(readout: dict | None, *, at_limit: bool = False, **over) -> Pixel:
     """A data sheet; `at_limit` has readings that are valid up to their limit."""
     if readout is not None and at_limit:
         readout = readout | {"validity_sigmas": 0}
     return Pixel(**SHEET | over, readout=readout)
 
 
-def split_of_three(small_noise_e: float = 2.96, **over: Any) -> dict[str, Any]:
+def split_of_three(small_noise_e: float = 2.96, **over) -> dict:
     """Solhusvik et al., IISW 2019, R32, table 1."""
     return {
         "collector": [{"name": "large"}, {"name": "small", "response": 0.01, "full_well_e": 7900}],
@@ -67,7 +66,7 @@ def split_of_three(small_noise_e: float = 2.96, **over: Any) -> dict[str, Any]:
     } | over
 
 
-def staggered(ratio: float, *, at_limit: bool = True, **over: Any) -> Pixel:
+def staggered(ratio: float, *, at_limit: bool = True, **over) -> Pixel:
     readout = {"kind": "staggered", "ratio": ratio} | over
     return pixel(readout, at_limit=at_limit, full_well_e=10_000, read_noise_e=2)
 
@@ -291,7 +290,7 @@ def test_numbers_of_companding(claim: Claim) -> None:
 
 
 @pytest.mark.parametrize("knees", [IMX585, AUTOMOTIVE], ids=["imx585", "automotive_24"])
-def test_decoding_returns_levels_within_half_a_step(knees: Any) -> None:
+def test_decoding_returns_levels_within_half_a_step(knees) -> None:
     """Of the coarser line that the code touches."""
     level_dn = np.unique(np.geomspace(1, knees[-1][0], 20_000).round())
     codes = encode(level_dn, knees)
@@ -316,7 +315,7 @@ def test_companded_frames_have_their_rounding() -> None:
 
 # Kinds with their options, levels between switches and near one, electrons.
 DARK = {"dark_current_e_per_s": 500, "black_level_dn": 64}
-KINDS: dict[str, tuple[dict[str, Any], tuple[float, ...]]] = {
+KINDS: dict[str, tuple[dict, tuple[float, ...]]] = {
     "dual_gain": (DUAL, (0.5, 300, 4000, 5330, 15_000)),
     "split": (
         {
@@ -346,7 +345,7 @@ TIME_S = 0.1
 
 
 def frame_of(
-    sensor_pixel: Pixel, level_e: float, exposure: Exposure | None = None, **over: Any
+    sensor_pixel: Pixel, level_e: float, exposure: Exposure | None = None, **over
 ) -> MergedFrame:
     exposure = exposure or Exposure(integration_s=TIME_S)
     readout = Readout.of(derive(sensor_pixel)).with_physics(**over)
@@ -472,7 +471,7 @@ SPLIT = KINDS["split"][0] | {"dark_current_e_per_s": [0, 0]}
 COLOUR = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.6}
 
 
-def evaluated(sensor_pixel: Pixel, wells: float, **over: Any) -> Any:
+def evaluated(sensor_pixel: Pixel, wells: float, **over):
     """Score of the patches, their white at so many full wells of 22 000 electrons."""
     light = lights.patches()
     camera = lights.camera(light)
@@ -485,7 +484,7 @@ def evaluated(sensor_pixel: Pixel, wells: float, **over: Any) -> Any:
 @pytest.mark.parametrize("colour", [None, COLOUR], ids=["grey", "mosaic"])
 @pytest.mark.parametrize("merge", ["select", "blend", "max_likelihood"])
 def test_light_beyond_the_full_well_is_shown_as_by_a_larger_well(
-    merge: str, colour: dict[str, Any] | None
+    merge: str, colour: dict | None
 ) -> None:
     """White at 5 wells: the small photodiode holds it; ΔE is near that of a well as large."""
     options = {"colour": colour, "black_level_dn": 64, "pitch_um": 20.0}

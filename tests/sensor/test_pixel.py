@@ -5,7 +5,6 @@ notes say of both.
 import csv
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ from pixsim.sensor.technology import Junction, Technology, load_technology
 from pixsim.sensor.unit_slips import SLIPS, unit_slips
 from pixsim.viewer.merging import merge
 
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 4.0,
     "full_well_e": 10_000.0,
     "read_noise_e": 2.0,
@@ -65,13 +64,13 @@ NOISY_PROCESS = load_technology("4t-bsi").model_copy(
 )
 
 
-def bsi(**fields: Any) -> PixelPhysics:
+def bsi(**fields) -> PixelPhysics:
     """A pixel of 4 µm without a stack."""
     pixel = {"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"enabled": False}}
     return derive(Pixel.model_validate(pixel | fields))
 
 
-def physics(**over: Any) -> PixelPhysics:
+def physics(**over) -> PixelPhysics:
     """A data sheet with numbers in place of those that state the same."""
     return derive(Pixel.model_validate(merge({"pixel": SHEET}, {"pixel": over})["pixel"]))
 
@@ -173,7 +172,7 @@ def physics(**over: Any) -> PixelPhysics:
         ("a border of 1.5 pixels", physics(), "border_um", 6.0),
     ],
 )
-def test_values_of_a_pixel(name: str, pixel: PixelPhysics, attribute: str, expected: Any) -> None:
+def test_values_of_a_pixel(name: str, pixel: PixelPhysics, attribute: str, expected) -> None:
     value = getattr(pixel, attribute, None)
     if not hasattr(pixel, attribute):
         value = getattr(Readout.of(pixel), attribute)
@@ -225,7 +224,7 @@ def test_a_saturation_capacity_is_solved_once_and_scales_with_the_area(
     ],
 )
 def test_a_later_layer_replaces_a_quantity_in_any_word(
-    before: dict[str, Any], later: dict[str, Any], left: dict[str, Any]
+    before: dict, later: dict, left: dict
 ) -> None:
     assert merge({"pixel": before}, {"pixel": later}) == {"pixel": left}
 
@@ -393,7 +392,7 @@ def test_labels_are_unique_and_a_printable_line(technologies: list[str], labels:
 NM = np.arange(365.0, 1100.0, 10.0)
 
 
-def light(spectrum: np.ndarray, **header: Any) -> SpectralImage:
+def light(spectrum: np.ndarray, **header) -> SpectralImage:
     data = np.broadcast_to(spectrum, (8, 8, NM.size)).copy()
     return SpectralImage(NM, 10.0, 5.0, data=data, header={"diffraction": False, **header})
 
@@ -515,9 +514,7 @@ def test_light_outside_the_computed_range_widens_it_or_is_noted() -> None:
         ({}, {"gain_e_per_dn": 20.0}, ""),
     ],
 )
-def test_number_in_another_unit_is_noted(
-    slip: dict[str, Any], usual: dict[str, Any], mended: str
-) -> None:
+def test_number_in_another_unit_is_noted(slip: dict, usual: dict, mended: str) -> None:
     values = {name: value for name, value in (SHEET | usual).items() if value is not None}
     assert not unit_slips(Pixel(**values))
     if slip:
@@ -556,7 +553,7 @@ def picture() -> SpectralImage:
     )
 
 
-def signal(colour: dict[str, Any] | None, **fields: Any) -> np.ndarray:
+def signal(colour: dict | None, **fields) -> np.ndarray:
     return mean_signal_rate(picture(), SMALL, bsi(colour=colour, **fields))
 
 
@@ -570,7 +567,7 @@ def signal(colour: dict[str, Any] | None, **fields: Any) -> np.ndarray:
     ids=lambda cell: str(next(iter(cell.values()))),
 )
 @pytest.mark.parametrize("pitch_um", [4.0, 3.45], ids=["odd", "even"])
-def test_each_pixel_has_the_signal_of_its_channel(cell: dict[str, Any], pitch_um: float) -> None:
+def test_each_pixel_has_the_signal_of_its_channel(cell: dict, pitch_um: float) -> None:
     """That of a monochrome sensor of the channel's quantum efficiency."""
     letters = channels_of(cell.get("matrix") or PATTERNS[cell["pattern"]])
     colour = cell | {"quantum_efficiencies": {letter: CURVES[letter] for letter in letters}}

@@ -5,7 +5,6 @@ each setting makes the stages anew that depend on it, and no others. Studies of 
 import json
 import weakref
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -46,7 +45,7 @@ NIGHT = {"name": "night", "set": {"scene": {"parameters": {"luminance_cd_per_m2"
 LIGHTS = {"name": "light", "set": [LIGHT, "display.white_cd_per_m2"], "from": 50.0, "to": 100.0}
 
 
-def small(**over: Any) -> Study:
+def small(**over) -> Study:
     return Study.model_validate(merge(SMALL, over))
 
 
@@ -96,7 +95,7 @@ def test_cases_are_a_product_then_single_moves_each_under_every_condition() -> N
     ],
     ids=["setting", "tables"],
 )
-def test_an_axis_may_set_the_technology(axis: dict[str, Any]) -> None:
+def test_an_axis_may_set_the_technology(axis: dict) -> None:
     cases = cases_of(tiny(axis=[{"name": "process"} | axis]))
     assert [case.settings.technologies for case in cases] == [("0.5um",), ("0.25um",)]
 
@@ -136,7 +135,7 @@ def test_settings_of_the_pixel_hold_for_data_sheets(tmp_path: Path) -> None:
     ],
 )
 def test_option_that_axes_or_conditions_set_is_named(
-    tables: dict[str, Any], words: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
+    tables: dict, words: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:
     (tmp_path / "s.toml").write_text('name = "s"\n')
     load_study(tmp_path / "s.toml", camera={"f_number": 3.0}, **tables)
@@ -243,10 +242,10 @@ def test_lights_behind_the_lens_are_held_one_at_a_time_where_one_has_room(
     """And that which replaces it; none of them in the result."""
     monkeypatch.setattr(scene_light, "SCENE_CACHE_BYTES", 1)
     prepare_scene = scene_light.prepare_scene
-    references: list[weakref.ref[Any]] = []
+    references: list[weakref.ref] = []
     counts: list[int] = []
 
-    def counted(*arguments: Any, **options: Any) -> Any:
+    def counted(*arguments, **options):
         light = prepare_scene(*arguments, **options)
         references.append(weakref.ref(light.rate_e_per_s_um2))
         counts.append(sum(reference() is not None for reference in references))
@@ -337,8 +336,8 @@ STACKS = [
 ]
 
 
-def filters(**over: Any) -> Study:
-    table: dict[str, Any] = {
+def filters(**over) -> Study:
+    table: dict = {
         "name": "filters",
         "technologies": ["4t-bsi"],
         "repeats": 2,

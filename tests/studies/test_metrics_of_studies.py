@@ -8,7 +8,6 @@ import pickle
 import re
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -197,18 +196,18 @@ def test_size_at_which_the_first_metric_fails_does_not_end_a_study(
 
 # --- a target, and the threshold at which it is seen ----------------------------------------------
 
-TARGET: dict[str, Any] = {"size_um": 200.0, "contrast": -0.05, "lux": 50.0}
-SMALL: dict[str, Any] = {
+TARGET = {"size_um": 200.0, "contrast": -0.05, "lux": 50.0}
+SMALL = {
     "resolution": 48,
     "display": {"dots": 32},
     "exposure": {"integration_s": 0.01},
     "metrics": ["detectability"],
 }
 # By its own length within the exposure.
-MOVING: dict[str, Any] = {"motion": {"image_um_per_s": (20e3, 0.0)}}
+MOVING = {"motion": {"image_um_per_s": (20e3, 0.0)}}
 
 
-def run_of_target(more: dict[str, Any], detectability: Any = (), **parameters: float) -> Any:
+def run_of_target(more: dict, detectability=(), **parameters: float):
     return pixsim.run(
         "target",
         parameters=TARGET | parameters,
@@ -218,7 +217,7 @@ def run_of_target(more: dict[str, Any], detectability: Any = (), **parameters: f
     )
 
 
-def d_prime(more: dict[str, Any], **parameters: float) -> float:
+def d_prime(more: dict, **parameters: float) -> float:
     return float(run_of_target(more, **parameters).statistics[0]["detectability"])
 
 
@@ -228,7 +227,7 @@ def d_prime(more: dict[str, Any], **parameters: float) -> float:
     ids=["size", "moving"],
 )
 def test_d_prime_at_the_value_that_a_run_finds_is_the_threshold(
-    name: str, threshold: float, more: dict[str, Any]
+    name: str, threshold: float, more: dict
 ) -> None:
     """A search ends within 1e-3 of the value."""
     result = run_of_target(more, {"solve_for": name, "threshold": threshold})
@@ -259,7 +258,7 @@ def test_target_is_seen_from_the_light_that_is_too_dark_to_the_light_that_fills_
     ],
 )
 def test_run_says_by_which_factor_of_its_contrast_a_target_is_seen_or_why_it_is_not(
-    lux: float, detectability: dict[str, Any], words: str
+    lux: float, detectability: dict, words: str
 ) -> None:
     assert words in text(run_document(run_of_target({}, detectability, lux=lux)))
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -631,7 +630,7 @@ def test_interval_of_all_looks_is_that_beside_an_end(least_um: float, ratio: flo
     ids=["range", "refine", "limit", "list"],
 )
 def test_only_ranges_without_a_target_are_refined(
-    settings: dict[str, Any], is_refined: bool, fit: FittedCurve, evaluations: int
+    settings: dict, is_refined: bool, fit: FittedCurve, evaluations: int
 ) -> None:
     range_um = {"pitch": {"min_um": 5.3, "max_um": 15.0, "count": 9}, "target_ci_um": None}
     sampling = next_round(study_with(**range_um | settings), [curve_with(fit)], {"0.35um": START})
@@ -704,7 +703,7 @@ def test_rise_variance_matches_covariance() -> None:
 # --- rounds of a study
 
 
-def study_with(**over: Any) -> pixsim.Study:
+def study_with(**over) -> pixsim.Study:
     sizes = {"values_um": NINE_UM.tolist()}
     table = {"name": "target", "repeats": 2, "target_ci_um": 1e-3, "pitch": sizes}
     return pixsim.Study.model_validate(table | over)
@@ -745,7 +744,7 @@ def test_next_round_target_is_half_width_and_a_missed_one_has_a_note(
     study = study_with(target_ci_um=target_um)
     curves = [curve_with(fit, interval_um=interval_um)]
     assert (next_round(study, curves, {"0.35um": START}) == {"0.35um": START}) == is_done
-    notes: Any = target_notes(SimpleNamespace(study=study, curves=curves))
+    notes = target_notes(SimpleNamespace(study=study, curves=curves))
     assert (text in "".join(notes), bool(notes)) == (True, bool(text))
 
 

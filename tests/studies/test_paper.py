@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -141,7 +140,7 @@ def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
     return float(Readout.of(physics).snr_db(exposure_lx_s * e_per_lx_s, integration_s))
 
 
-def sensitivity(response: str = "literal", cut_nm: float | None = None, **form: Any) -> float:
+def sensitivity(response: str = "literal", cut_nm: float | None = None, **form) -> float:
     """Electrons per lx·s and µm² of daylight, or of another form of it."""
     light = form or {"factors": (SPECTRA, PICTURES)}
     image = SpectralImage(DAYLIGHT_NM, 5.0, 5.3, **light)
@@ -151,9 +150,7 @@ def sensitivity(response: str = "literal", cut_nm: float | None = None, **form: 
     )
 
 
-def mtf_of_detail(
-    mtf: Callable[..., Array] = study_mtf_terms, frequency_cy_per_mm: Any = 33.0
-) -> Any:
+def mtf_of_detail(mtf: Callable[..., Array] = study_mtf_terms, frequency_cy_per_mm=33.0):
     result, pixel = chen2000(LINE_555_NM)
     return mtf(result, derive(pixel), np.array(frequency_cy_per_mm))
 
@@ -622,9 +619,7 @@ FLIPS = {
 
 
 @pytest.mark.parametrize(("change", "against"), FLIPS.values(), ids=FLIPS)
-def test_findings_contrary_evidence_flips_one_row(
-    change: dict[str, Any], against: set[str]
-) -> None:
+def test_findings_contrary_evidence_flips_one_row(change: dict, against: set[str]) -> None:
     rows = table(evidence(**change))
     assert rows.keys() == STATEMENTS, "a row that does not agree stays in"
     assert {name for name, row in rows.items() if not row.agrees} == GROWTH | against
@@ -657,7 +652,7 @@ def test_findings_contrary_evidence_flips_one_row(
     ],
 )
 def test_findings_of_another_optimum(
-    technology: str, change: dict[str, Any], statement: str, agrees: bool
+    technology: str, change: dict, statement: str, agrees: bool
 ) -> None:
     reference = evidence()
     curve = reference.curves[technology]
@@ -718,7 +713,7 @@ def test_rise_verdicts(
         ),
     ],
 )
-def test_findings_follow_study_process(size: str, settings: dict[str, Any], percent: float) -> None:
+def test_findings_follow_study_process(size: str, settings: dict, percent: float) -> None:
     """Half of the fill factor, and another law, as printed to 0.1 %."""
     reference = evidence()
     study = Study.model_validate({"name": "known", "iso_delta_e": ISO} | settings)
@@ -783,16 +778,16 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def sensitivity_study(desk: Path) -> Any:
+def sensitivity_study(desk: Path):
     return pixsim.study(desk / "tiny.toml", desk / "one", config=desk / "sensitivity.toml", jobs=1)
 
 
 @pytest.fixture(scope="module")
-def done(desk: Path) -> Any:
+def done(desk: Path):
     return sensitivity_study(desk)
 
 
-def case(result: Any, axis: str, value: float | str) -> StudyResult:
+def case(result, axis: str, value: float | str) -> StudyResult:
     (part,) = [
         part
         for part in result.parts
@@ -834,7 +829,7 @@ def test_range_of_leaves_out_what_has_no_range_and_an_end_that_is_set() -> None:
     assert points == [f"0.35um {high:g}"]
 
 
-def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
+def test_base_case_equals_the_base_study(done, desk: Path) -> None:
     """Same rows as the base run alone with these pitches and sensors: the random streams are its
     own.
     """
@@ -845,7 +840,7 @@ def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
     assert set(keys(desk / "a")) < set(keys(desk / "one"))
 
 
-def test_setting_of_the_base_changes_nothing(done: Any) -> None:
+def test_setting_of_the_base_changes_nothing(done) -> None:
     """The smallest pixel lacks light: half of it makes more noise, 2 (4/2.8)² less."""
     base = done.parts[0].curves[0].delta_e
     np.testing.assert_array_equal(case(done, "PRNU", 0.02).curves[0].delta_e, base)
@@ -853,7 +848,7 @@ def test_setting_of_the_base_changes_nothing(done: Any) -> None:
     assert (case(done, "light", "f/2.8").curves[0].delta_e[0] / base[0]).max() < 0.95
 
 
-def test_statements_of_a_case_are_those_of_the_study_alone(done: Any, desk: Path) -> None:
+def test_statements_of_a_case_are_those_of_the_study_alone(done, desk: Path) -> None:
     """All of the paper. The rows of its process are shared between cases that do not change it."""
     part = case(done, "dark current", "all high")
     study = part.study.model_copy(update={"streams": "tiny"})

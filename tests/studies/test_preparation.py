@@ -13,7 +13,6 @@ from contextlib import nullcontext
 from functools import cache, reduce
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -107,11 +106,7 @@ def sheet_toml(folder: Path) -> Path:
     ],
 )
 def test_choose_view_takes_the_least_of_three_limits_and_keeps_settings(
-    pitch_um: float,
-    f_number: float,
-    display: dict[str, Any],
-    scene: dict[str, Any],
-    expected: dict[str, Any],
+    pitch_um: float, f_number: float, display: dict, scene: dict, expected: dict
 ) -> None:
     camera = pixsim.Camera(die_mm=8.0, f_number=f_number, focal_length_mm=12.0)
     chart = pixsim.load_scene("csf", resolution=64, **scene)
@@ -121,7 +116,7 @@ def test_choose_view_takes_the_least_of_three_limits_and_keeps_settings(
 # --- pixel sizes
 
 
-def sheet_study(die_mm: float, pixel: dict[str, Any] | None = None, **pitch: Any) -> Study:
+def sheet_study(die_mm: float, pixel: dict | None = None, **pitch) -> Study:
     table = {
         "name": "own",
         "technologies": ["none"],
@@ -230,13 +225,13 @@ FILES = {
 }  # fmt: skip
 
 
-def fields(study: Study, *names: str) -> tuple[Any, ...]:
+def fields(study: Study, *names: str) -> tuple[object, ...]:
     """Fields of a study by their dotted names."""
     return tuple(reduce(getattr, name.split("."), study) for name in names)
 
 
 RANGE = {"pitch": {"min_um": 6.0, "count": 7}}
-LAYERS: dict[str, tuple[Callable[[], Any], Any]] = {
+LAYERS: dict[str, tuple[Callable, object]] = {
     "files lie next to the study": (
         lambda: [
             technology_of(load_study("study.toml"), name).dsnu for name in ("mine.toml", "0.25um")
@@ -300,7 +295,7 @@ LAYERS: dict[str, tuple[Callable[[], Any], Any]] = {
 
 @pytest.mark.parametrize(("call", "expected"), LAYERS.values(), ids=LAYERS)
 def test_settings_of_files_and_options_take_precedence(
-    call: Callable[[], Any], expected: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Callable, expected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
@@ -411,8 +406,8 @@ F_NUMBERS = {"name": "lens", "set": "camera.f_number", "values": [2, 3, 4, 5, 6]
 ALONE = {"name": "d", "range_of": "dsnu", "alone": True}
 
 
-def metric(value: Any = 1.0, name: str = "mine", **marks: Any) -> Callable[[Any], Any]:
-    def mine(score: Any) -> Any:
+def metric(value=1.0, name: str = "mine", **marks) -> Callable:
+    def mine(score):
         return value
 
     mine.__name__ = name
@@ -430,7 +425,7 @@ def labels(*names: str) -> None:
     cases_of(tiny(axis=[{"name": "lens", "values": values}]))
 
 
-RULES: dict[str, tuple[Callable[[], Any], str]] = {
+RULES: dict[str, tuple[Callable, str]] = {
     # names that a spreadsheet, a terminal or a file system would obey
     "a formula": (lambda: conditions("=1+1"), "reads as a formula"),
     "a formula as a label": (lambda: labels("@SUM(A1)"), "reads as a formula"),
@@ -634,7 +629,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
 
 
 @pytest.mark.parametrize(("call", "words"), RULES.values(), ids=RULES)
-def test_a_rule_across_fields_is_refused(call: Callable[[], Any], words: str) -> None:
+def test_a_rule_across_fields_is_refused(call: Callable, words: str) -> None:
     with pytest.raises(ValueError, match=f"(?s){words}"):
         call()
 
@@ -665,7 +660,7 @@ LIGHT = SpectralImage(
     header={"diffraction": False, "luminance_cd_per_m2": 3000.0},
 )
 # Arguments of `study`, each with another value than its default; beside the fields of its settings.
-ARGUMENTS: dict[str, Any] = {
+ARGUMENTS = {
     "config": "sensor.toml", "parameters": {"luminance_cd_per_m2": 5.0}, "pixel": {"bits": 8}, "scene": "csf", "quick": True,
     "jobs": 1, "scheduler": "tcp://localhost:8786", "variant": "scalar_spectral", "progress": lambda _: lambda _: None,
     "agreed": True, "uncertainty": 8, "sobol": 8, "smaller_than_um": (3.0,), "metrics": ("delta_e", "acutance"), "light": LIGHT,
@@ -680,7 +675,7 @@ NO_NUMBERS = {
 }  # they decide how and where, and change no number
 VALUES = {name: value for name, (value, _) in CHANGES.items()} | ARGUMENTS
 # In light that is given, axes and conditions vary the sensor and what follows it.
-SWEEP_VALUES: dict[str, Any] = {
+SWEEP_VALUES = {
     "axis": ({"name": "time", "set": "exposure.integration_s", "values": (1e-4, 1e-3)},),
     "condition": ({"name": "dusk", "set": {"exposure": {"integration_s": 1e-4}}},),
 }
@@ -722,7 +717,7 @@ def test_options_of_the_command_line_are_those_of_a_study() -> None:
     assert study <= compare
 
 
-def made_by_compare(options: dict[str, Any]) -> object:
+def made_by_compare(options: dict) -> object:
     """What a comparison would make: its cases."""
     small = {"scene": "flat", "resolution": 48, "display": {"dots": 48}}
     job = pixsim.compare(["a.toml", "b.toml"], **small | options)
@@ -733,7 +728,7 @@ def made_by_compare(options: dict[str, Any]) -> object:
     return repr((cases, job.types, job.study and (job.study.name, job.study.detail)))
 
 
-def made_by_sweep(options: dict[str, Any]) -> object:
+def made_by_sweep(options: dict) -> object:
     """What a sweep makes: its rows."""
     pixels = {"a": Pixel(pitch_um=10.0), "b": Pixel(technology="4t-bsi", pitch_um=10.0)}
     return repr(list(pixsim.sweep(LIGHT, pixels, **{"display": {"dots": 24}} | options)))
@@ -741,7 +736,7 @@ def made_by_sweep(options: dict[str, Any]) -> object:
 
 MADE = {"compare": made_by_compare, "sweep": made_by_sweep}
 # Settings that have an effect only beside others.
-BESIDE: dict[str, dict[str, Any]] = {
+BESIDE: dict[str, dict] = {
     "without": {"metrics": ("delta_e", "detectability")},
     "metric": {"metrics": ("delta_e", "information")},
 }

@@ -7,7 +7,6 @@ Single fields out of range or of another type: tests/test_refusals.py.
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,16 +30,16 @@ NM = [450.0, 550.0, 620.0]
 LIGHT = SpectralImage(NM, 30.0, 2700 / 64, data=np.full((64, 64, 3), 1e-3, np.float32))
 
 
-def axis(**over: Any) -> Any:
+def axis(**over):
     table = {"name": "a", "set": "camera.f_number"} | over
     return Axis.model_validate({name: value for name, value in table.items() if value is not None})
 
 
-def condition(table: dict[str, Any]) -> list[dict[str, Any]]:
+def condition(table: dict) -> list[dict]:
     return [{"name": "x", "set": table}]
 
 
-def value(setting: str, setting_value: Any) -> Any:
+def value(setting: str, setting_value):
     return cases_of(tiny(axis=[{"name": "a", "set": setting, "values": [setting_value]}]))
 
 
@@ -48,11 +47,11 @@ given = partial(pixsim.study, "tiny.toml", "out", light=LIGHT)
 sweep = partial(pixsim.sweep, LIGHT, camera=Camera(die_mm=2.7), display=Display())
 
 
-def compare(*files: str, **options: Any) -> Any:
+def compare(*files: str, **options):
     return pixsim.compare(files, progress=pytest.fail, **options)
 
 
-def compare_in(table: dict[str, Any]) -> Any:
+def compare_in(table: dict):
     settings = {"name": "x", "condition": condition(table)}
     return compare("a.toml", "b.toml", study=pixsim.Study.model_validate(settings))
 
@@ -66,7 +65,7 @@ STACK = {"stack": {"height_um": 5.0, "index": 1.5, "shift_um": [5.5, 0.0]}}
 TECHNOLOGY = {"name": "t", "set": "pixel.technology", "values": ["0.5um"]}
 TARGET = {"metrics": ["detectability"]}
 
-REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
+REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     # An axis
     "axis without values": (axis, ("missing: from", "values")),
     "axis with an empty list": (partial(axis, values=[]), ("empty list",)),

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -153,7 +152,7 @@ LINEAR_SHARES = {
     ids=["64", "64, other seed", "512", "Sobol' first", "Sobol' total"],
 )
 def test_shares_of_the_inputs(
-    kind: str, sample: tuple[Any, ...], options: dict[str, Any], expected: dict[str, float]
+    kind: str, sample: tuple[object, ...], options: dict, expected: dict[str, float]
 ) -> None:
     """Within 3 of their standard errors: of 500 seeds none of a linear optimum is beyond, and of 100
     seeds none of Sobol' points is beyond 2.9.
@@ -184,9 +183,7 @@ def test_shares_of_the_inputs(
     ],
 )
 @pytest.mark.parametrize("allowed", [(-np.inf, np.inf), (1.6, 3.5)], ids=["whole", "cut"])
-def test_unknown_at_matches_scipy(
-    spread: Spread, reference: Any, allowed: tuple[float, float]
-) -> None:
+def test_unknown_at_matches_scipy(spread: Spread, reference, allowed: tuple[float, float]) -> None:
     """Cut at bounds: the rest of the distribution, over its share. Values are a linear or
     exponential function of the coordinate, as a regression of few powers needs.
     """
@@ -339,7 +336,7 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
         ({"height_um": 3.0}, {"height_um"}),
     ],
 )
-def test_stated_numbers_of_a_stack_are_known(stack: dict[str, Any], stated: set[str]) -> None:
+def test_stated_numbers_of_a_stack_are_known(stack: dict, stated: set[str]) -> None:
     study = Study(name="b", technologies=["4t-bsi"], pixel={"stack": stack})
     left = set(load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in stated}
     assert {unknown.quantity for unknown in unknowns_of_study(study)} == left
@@ -432,11 +429,11 @@ SMALL = TINY | {
 }
 
 
-def written(**over: Any) -> str:
+def written(**over) -> str:
     return "".join(f"{name} = {toml_of(value)}\n" for name, value in merge(SMALL, over).items())
 
 
-def sheet(path: Path, table: dict[str, Any] | None = None, **more: Any) -> Path:
+def sheet(path: Path, table: dict | None = None, **more) -> Path:
     path.write_text(f"pixel = {toml_of((table or SHEET) | more)}\n", encoding="utf-8")
     return path
 
@@ -448,7 +445,7 @@ BY_INFORMATION = {"metrics": ["information"], "metric": {"information": {"spectr
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, Path]:
     """The types of both technologies by information."""
     folder = tmp_path_factory.mktemp("types")
     study = Study.model_validate(SMALL | BY_INFORMATION)
@@ -456,7 +453,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 
 def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
-    done: tuple[Any, Path], tmp_path: Path
+    done: tuple[object, Path], tmp_path: Path
 ) -> None:
     """With the same random streams, around the optimum of the metric."""
     result, folder = done
@@ -480,7 +477,7 @@ def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
     np.testing.assert_allclose([float(row["information"]) for row in drawn], expected, rtol=1e-9)
 
 
-def test_verdicts_are_shares_of_the_types(done: tuple[Any, Path]) -> None:
+def test_verdicts_are_shares_of_the_types(done: tuple[object, Path]) -> None:
     """By information more is better; both technologies together have 1."""
     first, second = done[0].uncertainty
     share = np.mean(first.table["information"] > second.table["information"])

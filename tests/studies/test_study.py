@@ -10,7 +10,6 @@ import tracemalloc
 import warnings
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -154,7 +153,7 @@ def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[F
     ids=["other pitches", "another process", "fewer", "more"],
 )
 def test_study_row_depends_on_its_sensor_only(
-    over: dict[str, Any],
+    over: dict,
     count: int,
     shared: int,
     done: tuple[StudyResult, Path],
@@ -186,7 +185,7 @@ BURST = WHOLE_CHART | {
     ids=["grey", "burst"],
 )
 def test_study_cached_frames_same_bytes(
-    frames: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    frames: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Overexposed, so that some pixels are saturated: they are stored with the frame, since its DN
     do not show them. Neither frames nor the light behind them are computed again; a frame that is
@@ -223,7 +222,7 @@ KEY = ("study", 1, "0.35um", 6.5, 0, "frame")
         ("study", "1", "0.35um", 6.5, 0, "frame"),
     ],
 )
-def test_stream_depends_on_key_only(key: tuple[Any, ...]) -> None:
+def test_stream_depends_on_key_only(key: tuple[object, ...]) -> None:
     """The correlation of 10⁵ pairs of independent numbers is below 5/√n but once in 2 million."""
     numbers = stream(*KEY).normal(size=100_000)
     np.testing.assert_array_equal(numbers, stream(*KEY).normal(size=100_000))
@@ -270,7 +269,7 @@ def test_study_marks_sizes_where_the_model_of_a_microlens_is_doubtful(tmp_path: 
     assert "hollow points" in delta_e_against_pitch([lensed]).caption
 
 
-def table(**more: Any) -> Table:
+def table(**more) -> Table:
     """Two cases of two sensors of one size each, ΔE of 1 to 4."""
     columns = {
         "pitch_um": np.array([5.0, 5.0, 7.5, 7.5]), "repeat": np.array([0, 1, 0, 1], np.int32),

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ from pixsim.verification.ladder import EFFORTS, Accuracy, Rung, climb
 from pixsim.viewer.score import LightError
 from pixsim.viewer.setting import Run
 
-SMALL: dict[str, Any] = {"display": {"dots": 32}, "camera": {"die_mm": 0.4}}
+SMALL = {"display": {"dots": 32}, "camera": {"die_mm": 0.4}}
 CASES = [
     KnownAnswer("one", lambda: 1.0, 1.0, 0.1, "it's right").check("optics"),
     KnownAnswer("two & three", lambda: 2.0, 1.0, 0.1, "by <hand>").check("viewer"),
@@ -98,7 +97,7 @@ def test_reference_is_one_whose_error_is_below_a_third_of_the_smallest_shown(
         ("picture.exr", {}, "picture.exr"),
     ],
 )
-def test_a_scene_without_a_ladder_is_refused(scene: str, pixel: dict[str, Any], text: str) -> None:
+def test_a_scene_without_a_ladder_is_refused(scene: str, pixel: dict, text: str) -> None:
     with pytest.raises(pixsim.PixsimError, match=text):
         pixsim.accuracy(scene, quick=True, pixel=pixel)
 
@@ -134,7 +133,7 @@ def test_extreme_cases_pass(room: str) -> None:
     ],
 )
 def test_case_passes_within_its_tolerance_without_a_warning(
-    call: Callable[[], Any], expected: Any, tolerance: float, scale: float | None, passes: bool
+    call: Callable, expected, tolerance: float, scale: float | None, passes: bool
 ) -> None:
     row = KnownAnswer("values", call, expected, tolerance, "", ((),), scale)
     assert row.check().passed == passes
@@ -208,7 +207,7 @@ def lit_rate() -> float:
 
 
 NAMED = {name: row for rows in ROOMS.values() for row in rows() for name in [row[0]]}
-CHARGES: dict[str, Callable[..., Any]] = {
+CHARGES: dict[str, Callable] = {
     "closed form": exact.constant_diode_charge_e,
     "LSODA, an implicit solver, with a tolerance of 1e-13": exact.implicit_charge_e,
     "∫C dV/q of SPICE's C(V) down to V_oc = -V_T ln(1 + i/I_s), by quadrature": (
@@ -216,7 +215,7 @@ CHARGES: dict[str, Callable[..., Any]] = {
     ),
 }
 NUMBERS: dict[
-    str, tuple[Any, Callable[[], Any], float]
+    str, tuple[object, Callable, float]
 ] = {  # of the table, of a closed form, relative tolerance
     "irradiance": (
         [row[-1] for row in extreme_cases.IRRADIANCES],
