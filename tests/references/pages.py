@@ -186,17 +186,6 @@ class Page:
         return printed.getvalue()
 
 
-def differences(page: str) -> Iterator[tuple[str, str, str]]:
-    """(file, text before, text after) of each block of differences."""
-    for block in blocks_of(page):
-        if block.language == "diff":
-            first, *lines = block.text.splitlines()
-            before, after = (
-                "\n".join(line[1:] for line in lines if line[:1] != sign) for sign in "+-"
-            )
-            yield first.removeprefix("--- "), before, after
-
-
 def alike_pictures(shown: Path, created: Path, exact: bool = False) -> bool:
     """Whether two pictures agree but for the rounding of other processors; with `exact`, in every
     number or sample.

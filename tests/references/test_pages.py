@@ -1,16 +1,8 @@
 """Blocks of README, docs/ and notebooks are run; output and pictures must be those that they show.
 
-The changes of docs/first_change.md do what the page says.
-
 On the processor and with the packages of docs/made_on.toml, every digit must agree.
 """
 
-import csv
-import json
-import os
-import shutil
-import subprocess
-import sys
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,9 +10,8 @@ from pathlib import Path
 import pytest
 from helpers.documents import ROOT, difference, differs_from_made_on
 from helpers.looks import Elements
-from helpers.processes import HANG_S
 from references.notebooks import NOTEBOOKS, executed, outputs
-from references.pages import Page, alike_pictures, differences, first_study
+from references.pages import Page, alike_pictures, first_study
 
 import pixsim
 
@@ -125,71 +116,6 @@ def test_notebook_gives_shown_output(
             assert "script" not in words.tags
         else:
             assert difference(expected.strip(), printed.strip(), exact=False) == "", f"cell {cell}"
-
-
-# The changes of docs/first_change.md
-
-FIRST_CHANGE = ROOT / "docs/first_change.md"
-TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance"
-OF_METRICS = "viewer/test_score.py", "viewer/test_metrics.py", "studies/test_own_metrics.py"
-FILES = ("sensor/test_readout.py", "viewer/test_without_effect.py", *OF_METRICS)
-
-
-def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
-    for name in ("pixsim", "tests", "scenes"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    for name, before, after in differences(FIRST_CHANGE.read_text(encoding="utf-8")):
-        path = tmp_path / name
-        path.write_text(path.read_text(encoding="utf-8").replace(before, after), encoding="utf-8")
-    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-
-    def run(*words: str) -> str:
-        done = subprocess.run(
-            [sys.executable, "-m", *words],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=HANG_S,
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-    assert " passed" in run(
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "--basetemp",
-        "runs",
-        "-k",
-        TESTS,
-        *(f"tests/{name}" for name in FILES),
-    )
-    small = ["--resolution", "64", "--display.dots", "32", "--pixel.pitch-um", "21.2"]
-    judged = ["--metric", "delta_e", "--metric", "rms_luminance"]
-    quiet, noisy = (
-        json.loads(run("pixsim", "run", "csf", *small, *judged, "--json", "--out", name, *more))
-        for name, more in (("a", ()), ("b", ("--pixel.flicker-noise-e", "60000")))
-    )
-    assert 0 < quiet["rms_of_white"] < noisy["rms_of_white"]
-    assert quiet["mean_delta_e"] < noisy["mean_delta_e"]
-    sizes = ["--pitch.values-um", "15,20,25,30,40", "--jobs", "1", "--out", "c"]
-    axes = ["--axis", "pixel.flicker_noise_e=0,300", "--axis", "display.gain=1,1.1"]
-    run("pixsim", "study", "pixel-size", "--quick", *small[:4], *judged, *sizes, *axes)
-    with (tmp_path / "c/results.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert "rms_of_white" in rows[0]
-    rows_of_gain = {
-        gain: [row for row in rows if float(row["display.gain"]) == gain] for gain in (1.0, 1.1)
-    }
-    for right, bright in zip(
-        *rows_of_gain.values(), strict=True
-    ):  # the same frames, of which no dot is at the end of the codes
-        assert float(bright["rms_of_white"]) == pytest.approx(
-            1.1 * float(right["rms_of_white"]), rel=1e-4
-        )
 
 
 # The runner itself

@@ -1,5 +1,5 @@
 """Blocks of README and docs/ are all run somewhere; names on pages, and files that they name, are
-there. tests/references/test_pages.py runs the blocks.
+there. test_pages.py runs the blocks.
 """
 
 import json
