@@ -277,9 +277,8 @@ def names(message: str, argument: str, value) -> bool:
 
 
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def files(here: Path) -> None:
     """The files of `GOOD` in the working folder."""
-    monkeypatch.chdir(tmp_path)
     pixsim.write_exr("a.exr", LIGHT)
     np.save("edge.npy", RATIO_ROUNDING)
     pixsim.write_frame("raw.npz", FRAME)
@@ -331,10 +330,9 @@ TAKEN = {("text", "out"), ("text", "progress"), ("10**30", "scheduler")}
 
 @pytest.mark.parametrize("name", LONG)
 def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, here: Path
 ) -> None:
     """All values of a wrong kind; none of them gets as far as a render, or the trace of a lens."""
-    monkeypatch.chdir(tmp_path)
     function = getattr(pixsim, name)
     faults = []
     for argument, parameter in inspect.signature(function).parameters.items():

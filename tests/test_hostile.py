@@ -88,11 +88,10 @@ def assert_command_rejects(line: str, *arguments: object) -> None:
         (".csv", "run csf --pixel.quantum-efficiency {}"),
     ],
 )
-def test_command_irregular_file_does_not_block(tmp_path, monkeypatch, suffix, line):
-    monkeypatch.chdir(tmp_path)
-    for path in irregular_files(tmp_path, suffix):
+def test_command_irregular_file_does_not_block(here, suffix, line):
+    for path in irregular_files(here, suffix):
         assert_command_rejects(line.format(path))
-    assert not (tmp_path / "pixsim-out").exists()
+    assert not (here / "pixsim-out").exists()
 
 
 def test_digest_of_irregular_file_raises(tmp_path):
@@ -374,10 +373,9 @@ def test_results_file_damaged_rows_are_dropped(tmp_path, content):
 
 
 @pytest.mark.parametrize("name", ["a'b\"c", "ünï", "n\nl $x$", "[b] %s{}", "-dash", "caf\udce9"])
-def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
-    (folder := tmp_path / name).mkdir()
-    seeds_folder = folder if name != "caf\udce9" else tmp_path
+def test_command_any_file_name_works_or_is_rejected(here, name):
+    (folder := here / name).mkdir()
+    seeds_folder = folder if name != "caf\udce9" else here
     seeds(seeds_folder)
     (config := folder / "c.toml").write_text(CONFIG)
     for arguments in (
@@ -388,11 +386,11 @@ def test_command_any_file_name_works_or_is_rejected(tmp_path, monkeypatch, name)
         code, out, err = run_command(*arguments)
         assert code in (0, 2), err
         assert "Traceback" not in err + out
-    assert {path.name for path in tmp_path.iterdir()} <= {
+    assert {path.name for path in here.iterdir()} <= {
         name,
         *(path.name for path in seeds_folder.iterdir()),
     }
-    assert not list(tmp_path.rglob("*.part"))
+    assert not list(here.rglob("*.part"))
 
 
 @pytest.mark.parametrize(
@@ -473,16 +471,15 @@ def test_templates_escape_markup(path):
     "line",
     ["study study.toml --jobs 1", pytest.param("datasheet 't$<b>$.toml'", marks=pytest.mark.slow)],
 )
-def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
+def test_report_escapes_markup_of_files(line, here, monkeypatch):
     """Title, technology and sources of a study, and the name of a data sheet, are markup and
     mathematics.
     """
     monkeypatch.setattr(datasheet, "make_datasheet", partial(datasheet.make_datasheet, **FEW))
-    monkeypatch.chdir(tmp_path)
     text = (DATA / "technologies/0.35um.toml").read_text()
     name = next(line for line in text.splitlines() if line.startswith("name"))
-    (tmp_path / "t$<b>$.toml").write_text(text.replace(name, f"name = '''{MARKUP}$\\frac[bold]'''"))
-    (tmp_path / "study.toml").write_text(
+    (here / "t$<b>$.toml").write_text(text.replace(name, f"name = '''{MARKUP}$\\frac[bold]'''"))
+    (here / "study.toml").write_text(
         f"name = 'x'\ntitle = '''{MARKUP} $\\frac{{$'''\nrepeats = 2\ntechnologies ="
         " ['t$<b>$.toml']\npitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0] }\ndisplay = { dots"
         " = 32, samples_per_deg = 10.0 }\nresolution = 32\ncamera = { die_mm = 0.7 }\nscene ="
@@ -490,11 +487,11 @@ def test_report_escapes_markup_of_files(line, tmp_path, monkeypatch):
     )
     code, _, err = run_command(f"{line} --out out")
     assert code == 0, err
-    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    page = (here / "out/report.html").read_text(encoding="utf-8")
     assert "&lt;script&gt;" in page
     for raw in ("<script", "<img src=x", "t$<b>"):
         assert raw not in page
-    for path in (tmp_path / "out/figures").glob("*.svg"):
+    for path in (here / "out/figures").glob("*.svg"):
         ET.fromstring(path.read_text(encoding="utf-8"))
 
 

@@ -493,18 +493,15 @@ def in_use(folder: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("line", [*LINES.values(), "sfr edge.npy --out out"])
-def test_command_refuses_folder_in_use(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+def test_command_refuses_folder_in_use(line: str, here: Path) -> None:
+    (here / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
     np.save("edge.npy", 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128))))
-    with in_use(tmp_path / "out"):
-        before = sorted(path.name for path in (tmp_path / "out").rglob("*"))
+    with in_use(here / "out"):
+        before = sorted(path.name for path in (here / "out").rglob("*"))
         assert_refused(
             *command(line), ["output folder: got 'out', in use by another process", "--out"]
         )
-        assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before == [LOCK]
+        assert sorted(path.name for path in (here / "out").rglob("*")) == before == [LOCK]
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])

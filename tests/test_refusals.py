@@ -278,11 +278,8 @@ def is_refused_text(kind: str, value) -> bool:
 
 
 @pytest.mark.parametrize("record", LINES, ids=lambda record: record.__name__)
-def test_command_line_refuses_what_a_field_does_not_allow(
-    record: type[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_line_refuses_what_a_field_does_not_allow(record: type[Record], here: Path) -> None:
     """The value of an option is a text. Nothing is written."""
-    monkeypatch.chdir(tmp_path)
     line, where = LINES[record], PLACES[record].words
     _, options = names_of(line.split()[0])
     option_names = {name: f"--{where}{name}".replace("_", "-") for name in fields(record)}
@@ -311,7 +308,7 @@ def test_command_line_refuses_what_a_field_does_not_allow(
     if f"Unknown option: --{where}no-such-name" not in err:
         misses.append(f"no-such-name = 1: got '{err}'")
     assert not misses, "\n".join(misses)
-    assert list(tmp_path.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 # --- At the ends

@@ -121,14 +121,11 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("case", CALLS)
-def test_settings_that_do_not_go_together_are_refused(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_settings_that_do_not_go_together_are_refused(case: str, here: Path) -> None:
     call, words = CALLS[case]
     with pytest.raises(pixsim.PixsimError, match=words):
         call()
-    assert list(tmp_path.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.parametrize("text", TEXTS)

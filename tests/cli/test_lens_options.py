@@ -92,9 +92,8 @@ FILES: dict[str, tuple[str, bytes, str]] = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+def folder(here: Path) -> Path:
+    return here
 
 
 def assert_named(named: str, line: str, *words: str) -> None:

@@ -236,13 +236,12 @@ INTERPOLATIONS = {"linear", "nearest", "cubic"}
     ],
 )
 def test_completion_knows_files_and_choices(
-    words: str, offered: set[str], others: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: str, offered: set[str], others: set[str], here: Path
 ) -> None:
     """At the last word, which may have begun."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder").mkdir()
+    (here / "folder").mkdir()
     for name in ("mine.xml", "mine.toml", "folder/other.toml"):
-        (tmp_path / name).touch()
+        (here / name).touch()
     out = output_of("__complete", *words.split(), *([] if words.endswith("/") else [""]))
     answers = {line.split("\t")[0] for line in out.split("\x1fbegin\n", 1)[1].splitlines()}
     assert answers & (offered | others) == offered
@@ -270,11 +269,8 @@ def test_completion_knows_files_and_choices(
         ("template sensor -o gone/far/a.toml", "gone"),
     ],
 )
-def test_command_missing_folder_is_named(
-    line: str, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "here").mkdir()
+def test_command_missing_folder_is_named(line: str, folder: str, here: Path) -> None:
+    (here / "here").mkdir()
     assert_refused(*command(line), [f"folder '{folder}' does not exist"])
 
 

@@ -125,8 +125,7 @@ def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
     assert_repeats(words, tmp_path / "out", with_pictures(answered[1])["pictures"])
 
 
-def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(here):
     light = pixsim.render(pixsim.load_scene("csf", resolution=64), pixsim.Camera())
     header = dict(light.header)
     session = Session(light, (), {name: SMALL[name] for name in ("pixel", "display")})

@@ -259,12 +259,9 @@ def test_headline_over_axes_says_where_which_is_better(
     assert better_cases_words(Comparison(job, None, ()), "b") == f"{words} with match lens"  # type: ignore[arg-type]
 
 
-def test_each_value_of_an_axis_is_a_comparison_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_value_of_an_axis_is_a_comparison_of_its_own(here: Path) -> None:
     """Bit for bit."""
-    monkeypatch.chdir(tmp_path)
-    files = two_sheets(tmp_path)
+    files = two_sheets(here)
     axis = (
         '{ name = "light", set = "scene.parameters.luminance_cd_per_m2", values = [0.05, 100.0] }'
     )

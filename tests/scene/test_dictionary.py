@@ -139,10 +139,7 @@ REFUSED: dict[str, tuple[dict, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_other_dictionaries_are_refused(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_other_dictionaries_are_refused(name: str, here: Path) -> None:
     scene, words = REFUSED[name]
     with pytest.raises(pixsim.PixsimError, match=words):
         pixsim.render(pixsim.load_scene(scene, variant=VARIANT))

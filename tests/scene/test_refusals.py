@@ -414,15 +414,12 @@ def test_pictures_are_refused(
         ("plan", ["SCENE"]),
     ],
 )
-def test_commands_on_charts_are_refused(
-    line: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_commands_on_charts_are_refused(line: str, words: list[str], here: Path) -> None:
     PNG.save("mine.png")
-    (tmp_path / "bad.png").write_bytes(b"no picture")
+    (here / "bad.png").write_bytes(b"no picture")
     pixsim.write_chart("star.exr", charts.flat())
     assert_refused(*command(line), words)
-    assert not (tmp_path / "out.exr").exists()
+    assert not (here / "out.exr").exists()
 
 
 CASES = Path(__file__).parents[1] / "data/cases"

@@ -416,12 +416,9 @@ PIXEL = "a pixel of 6.5 µm in 0.35um (--pixel.pitch-um)"
         ("compare imx477 4t-bsi --scene {} --dry-run", ""),
     ],
 )
-def test_sensor_that_nobody_states_is_named_once(
-    words: str, defaults: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sensor_that_nobody_states_is_named_once(words: str, defaults: str, here: Path) -> None:
     """For a scene of the user: packaged ones are made for a die."""
-    monkeypatch.chdir(tmp_path)
-    scene_file(tmp_path, sensor_xml(), '<emitter type="constant"/>')
+    scene_file(here, sensor_xml(), '<emitter type="constant"/>')
     code, out, error = command(words.format("scene.xml"))
     assert (code, out.count("in the paper")) == (0, 0), error
     assert re.findall("assumed, as in the paper: (.*)", error) == [defaults] * bool(defaults)

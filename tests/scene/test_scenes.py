@@ -173,11 +173,8 @@ def test_every_step_has_a_test() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_packaged_scenes_render_in_stock_mitsuba(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_packaged_scenes_render_in_stock_mitsuba(name: str, here: Path) -> None:
     mi = import_mitsuba(VARIANT)
-    monkeypatch.chdir(tmp_path)
     picture = np.asarray(mi.render(mi.load_file(str(FOLDER / f"{name}.xml"), resolution=16, spp=4)))
     assert np.isfinite(picture).all()
     assert np.count_nonzero(picture.sum(axis=2)) > 250

@@ -295,9 +295,8 @@ LAYERS: dict[str, tuple[Callable, object]] = {
 
 @pytest.mark.parametrize(("call", "expected"), LAYERS.values(), ids=LAYERS)
 def test_settings_of_files_and_options_take_precedence(
-    call: Callable, expected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Callable, expected, here: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
         Path(name).write_text(text, encoding="utf-8")
     assert call() == expected
@@ -375,13 +374,12 @@ def test_fit_beside_a_steep_flank() -> None:
 
 @pytest.mark.parametrize("line", ["run csf", "study chen2000", "run macbeth --window 1"])
 def test_dry_run_renders_and_writes_nothing(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    line: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Renderer, "run", lambda *_, **__: pytest.fail("rendered"))
-    monkeypatch.chdir(tmp_path)
     _, out, err = command(f"{line} --dry-run --json")
     assert json.loads(out)["estimate"]["seconds"] > 1, err
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())
 
 
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
