@@ -173,7 +173,6 @@ command()
 @pytest.mark.slow
 def test_without_what_macos_lacks_light_is_run_into_a_folder(tmp_path: Path) -> None:
     hidden = systems.missing("os", systems.MACOS)
-    assert hidden is not None
     assert {"sched_getaffinity", "memfd_create", "posix_fallocate", "O_PATH"} <= hidden
     done = python(systems.__file__, systems.MACOS, ON_MACOS, folder=tmp_path)
     assert (done.returncode, done.stdout.startswith("mean ΔE ")) == (0, True), done.stderr

@@ -133,7 +133,6 @@ def in_frames(
     done = browse([*arguments, "--dump-dom", frame.as_uri()], folder)
     assert "CONSOLE" not in done.stderr, done.stderr
     title = re.search(r"<title>(.*?)</title>", done.stdout, re.DOTALL)
-    assert title
     results: list = json.loads(html.unescape(title[1]))
     assert len(results) == len(sources)
     return results

@@ -234,8 +234,6 @@ def state_of(folder: Path, *emitters: str) -> trees.Tree:
 def test_spectrum_of_a_lamp(emitter: str, radiance: np.ndarray, tmp_path: Path) -> None:
     # In float32 and five digits of D65's scale; an RGB emitter's colour is times D65.
     lamp = find_lamp(state_of(tmp_path, emitter), READING)
-    assert lamp is not None
-    assert lamp.spectrum is not None
     np.testing.assert_allclose(lamp.spectrum.at(NM), radiance, rtol=1e-3, atol=1e-4)
 
 
@@ -251,7 +249,6 @@ def test_lamps_of_one_spectrum_have_its_light_times_their_powers(
     emitters: list[str], luminance: float, powers: list[float], tmp_path: Path
 ) -> None:
     lamp = find_lamp(state_of(tmp_path, *emitters), READING)
-    assert lamp is not None
     assert lamp.luminance_cd_per_m2 == pytest.approx(luminance * D65_LUMINANCE, rel=1e-4)
     relative = [value for _, value in lamp.pictures.values() if isinstance(value, float)]
     assert relative == pytest.approx(powers)

@@ -678,7 +678,6 @@ def test_neighbours_share_what_the_mosaic_collects(colour: dict) -> None:
     layout = Layout.unbinned(
         Pixel(technology="4t-bsi", pitch_um=2.0, colour=colour | {"quantum_efficiencies": FILTERS})
     )
-    assert layout is not None
     around = neighbours(layout)
     np.testing.assert_allclose(around.sum(axis=1), 1, rtol=1e-12)
     shares = np.random.default_rng(1).uniform(0, 1, (3, 5, 5))

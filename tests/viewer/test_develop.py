@@ -239,7 +239,6 @@ def test_facts_of_a_colour_sensor_are_those_of_its_matrix() -> None:
     """White electrons in a time, noise gains and metamerism of the fit, dots of a pixel."""
     chain = chain_of(patch(18, "A"), sensor({}))
     chart = chain.colour_chart
-    assert chart is not None
     facts = chain.development.colour_facts(0.5)
     matrix = chart.fit_matrix("least_delta_e")
     errors = colour_matrix.colour_errors(matrix, chart.responses, chart.xyz, chart.white_xyz)
@@ -391,7 +390,6 @@ def test_burst_that_is_full_in_part_is_neutral() -> None:
     shot noise of the brighter of the two.
     """
     chain, frame = grey_burst(0.9)
-    assert frame.layout is not None
     is_green = frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G")
     np.testing.assert_array_equal(frame.saturated, is_green)
     assert frame.estimate_e.max() < 0.99 * chain.readout.saturation_e
@@ -788,7 +786,6 @@ def test_pixels_within_a_cell_of_a_saturated_one_are_neutral() -> None:
     """A cell of 2 × 2 reaches one pixel to each side."""
     colour = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6}
     layout = derive(Pixel(technology="4t-bsi", pitch_um=3.0, colour=colour)).layout
-    assert layout is not None
     planes = [np.full((9, 9), level) for level in (1.0, 2.0, 3.0)]
     is_saturated = np.zeros((9, 9), bool)
     is_saturated[4, 4] = True

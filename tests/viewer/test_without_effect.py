@@ -456,7 +456,6 @@ def test_value_that_holds_anyway_is_not_named(pixel: dict, display: dict, names:
 def test_a_thousandth_of_the_scatter_is_resolved(share: float, names: set[str]) -> None:
     """An offset pattern adds its square to the variance of each pixel."""
     base = settings_of(Run(pixel=Pixel(**FAINT))).base
-    assert base is not None
     scatter_e = math.sqrt(float(base.variance_e2(base.frame.mean_e).min()))
     assert without_effect(Run(pixel=Pixel(**FAINT, dsnu_e=share * 1e-3 * scatter_e))) == names
 
@@ -477,7 +476,6 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     lamps. White is 1.1 times the brightest dot.
     """
     base = settings_of(Run(pixel=Pixel(**FAINT), exposure=Exposure(**exposure))).base
-    assert base is not None
     camera = base.imaging.camera
     assert base.frame.dn.shape == (20, 20)
     fill = base.mean_e.max() / base.readout.saturation_e
