@@ -518,6 +518,11 @@ class PixelOptions(Record):
         return not is_single or self.companding is not None
 
     @property
+    def readout_area_um2(self) -> float:
+        """Area that the circuits of several readings take from the photodiode."""
+        return 0.0 if self.readout is None else self.readout.area_um2
+
+    @property
     def bin_side(self) -> int:
         """Pixels along a side of those that are read as one."""
         return BIN if self.colour is not None and self.colour.binning else 1

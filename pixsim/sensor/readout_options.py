@@ -146,6 +146,15 @@ class ReadoutOptions(Record):
         0.9, description="share of the limit of the sensitive reading at which a blend ends"
     )
 
+    area_um2: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        0.0,
+        description=(
+            "area that its circuits take from the photodiode: fill factor × (1 - area_um2/pitch²);"
+            " about 9 a transistor at 0.35 µm, 0.04 in a back-lit 65 nm process (a third, and a"
+            " quarter, of what the fill-factor laws leave out), and capacity_e/40 000 for a"
+            " capacitor in the silicon, 0 for one above it"
+        ),
+    )
     conversion_gain_uv_per_e: _Gains | None = Field(
         None, description="conversion gains of the readings; dual_gain and overflow: [high, low]"
     )

@@ -468,6 +468,31 @@ def well_charge_e(name: str) -> float:
     return charge_to_e(diode, junction.reset_voltage_v - junction.voltage_swing_v)
 
 
+CIRCUITS = {"area_um2": 2.0}
+STACK = {"height_um": 6.0, "index": 1.5, "microlens": "square"}
+SHEET: dict[str, Any] = {
+    "pitch_um": 3.0,
+    "full_well_e": 1e4,
+    "read_noise_e": 2,
+    "dark_current_e_per_s": 5,
+    "quantum_efficiency": 0.5,
+}
+
+
+def beside_readout(pitch_um: float, technology: Any, area_um2: float) -> float:
+    return float(fill_factor_law(pitch_um, technology)) * (1 - area_um2 / pitch_um**2)
+
+
+def of_area(physics: PixelPhysics) -> list[float]:
+    return [
+        physics.fill_factor,
+        physics.photodiode_area_um2,
+        physics.full_well_e,
+        physics.dark_current_e_per_s,
+        physics.reset_noise_e,
+    ]
+
+
 LAYOUT = [
     *(
         Claim(
@@ -491,15 +516,47 @@ LAYOUT = [
     ),
     *(
         Claim(
-            f"the pitch of a fill factor inverts the law {law}",
-            lambda law=law: fill_factor_law(
-                pitch_for_fill_factor_um(0.4, with_fill_factor_law(T035, law)),
+            f"the pitch of a fill factor inverts the law {law}, with {area_um2:g} µm² of circuits",
+            lambda law=law, area_um2=area_um2: beside_readout(
+                pitch_for_fill_factor_um(0.4, with_fill_factor_law(T035, law), area_um2),
                 with_fill_factor_law(T035, law),
+                area_um2,
             ),
             0.4,
             rtol=1e-12,
         )
         for law in ("technology", "inset")
+        for area_um2 in (0.0, 30.0)
+    ),
+    Claim(
+        "circuits of readings take their share of the fill factor, and what follows from it",
+        lambda: of_area(of_process("0.35um", readout={"area_um2": 8.0})),
+        of_area(
+            of_process("0.35um", fill_factor=float(fill_factor_law(6.5, T035)) * (1 - 8 / 6.5**2))
+        ),
+        rtol=1e-12,
+    ),
+    Claim(
+        "numbers of a sheet follow the area beside the circuits, (p² - a)/(m² - a)",
+        lambda: (
+            derive(
+                Pixel(**SHEET | {"pitch_um": 4.0, "data_sheet_pitch_um": 3.0}, readout=CIRCUITS)
+            ).full_well_e
+        ),
+        1e4 * (16 - 2) / (9 - 2),
+        rtol=1e-12,
+    ),
+    Claim(
+        "a process measured its efficiency without them, a sheet with them",
+        lambda: [
+            physics.efficiency_stack.fill_factor / physics.stack.fill_factor
+            for physics in (
+                derive(Pixel(technology="4t-bsi", pitch_um=1.4, readout={"area_um2": 0.49})),
+                derive(Pixel(**SHEET | {"stack": STACK}, readout=CIRCUITS)),
+            )
+        ],
+        [1 / (1 - 0.49 / 1.4**2), 1.0],
+        rtol=1e-12,
     ),
     Claim(
         "no photodiode at the smallest pitch, the limit at large ones",

@@ -244,6 +244,10 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         "pinned photodiode of 4t-bsi",
     ),
     "pitch without a photodiode": (lambda: derive(Pixel(pitch_um=5.0)), "5.13.*transistors"),
+    "circuits that fill the pixel": (
+        lambda: derive(Pixel(pitch_um=6.0, readout={"area_um2": 36.0})),
+        "readout.area_um2: got 36 in a pixel of 6 µm; allowed: below 36",
+    ),
     "pitch of an unfinished data sheet": (
         lambda: derive(Pixel(pitch_um=2.0, full_well_e=1e4, read_noise_e=2.0)),
         "give dark_current_e_per_s, quantum_efficiency",
