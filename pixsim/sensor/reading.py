@@ -528,6 +528,14 @@ def with_all(readout: Readout, change: Callable[[Readout], Readout]) -> Readout:
     return replace(change(readout), readings=readings)
 
 
+def with_merge(readout: Readout) -> Readout:
+    """Return a readout that has its readings; of a pixel that is read once, that reading."""
+    if readout.readings:
+        return readout
+    once = Reading("pixel", readout, collector=0, photodiode=0)
+    return replace(readout, readings=(once,), merge=ReadoutOptions())
+
+
 def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
     """Return a reading of a pixel with all readings of its options, the most sensitive first.
 
