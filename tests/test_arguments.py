@@ -109,6 +109,7 @@ GOOD = {
     "exposures": 2, "total_s": 0.1, "quantity": "row_noise_e", "chosen": LensOptions(), "pitches_um": [5.0, 10.0],
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
     "charge_e": 100.0, "contrast": 0.1, "deviation_a_e": 1.0, "deviation_b_e": 1.0,
+    "darker": PLANE, "brighter": PLANE,
 }  # fmt: skip
 OWN = {
     "pixsim.score_pictures.image": PLANE,

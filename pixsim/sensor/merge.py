@@ -289,7 +289,9 @@ def level_variance_e2(
     return np.where(is_full, np.nan, _sum_e2(weights, covariance))
 
 
-def merged_level(readout: Readout, level_e: Array, integration_s: float) -> MergedLevel:
+def merged_level(
+    readout: Readout, level_e: Array, integration_s: float, *, passing: bool = True
+) -> MergedLevel:
     """Return mean and variance of the estimate of levels (n,), with the choice of readings by their
     noisy charges.
 
@@ -297,6 +299,8 @@ def merged_level(readout: Readout, level_e: Array, integration_s: float) -> Merg
     sums of readings with it and without it. All are normal, so that one integral over x has mean
     and variance; the bias is E[a′] cov(x, A - B) (Stein, Ann. Stat. 9 (1981) 1135). Few full
     readings pass as valid, Φ(-validity_sigmas) of them, but err by all that the limit cuts off.
+
+    passing : whether these count, which are too few for a normal law
     """
     assert readout.merge is not None
     readings = readout.readings
@@ -335,10 +339,10 @@ def merged_level(readout: Readout, level_e: Array, integration_s: float) -> Merg
         variance_e2[part] = square.sum(axis=(0, 2)) - bias_e[part] ** 2
         weights[:, part] = (density * merged).sum(axis=(1, 3))
 
-    for number in range(count - 1):
-        passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
-        bias_e += passing * error_e
-        variance_e2 += passing * error_e**2
+    for number in range(count - 1 if passing else 0):
+        share_passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
+        bias_e += share_passing * error_e
+        variance_e2 += share_passing * error_e**2
     return MergedLevel(bias_e, variance_e2, weights)
 
 
@@ -437,13 +441,18 @@ def fixed_pattern_e2(
 
 
 def merged_variance_e2(
-    readout: Readout, signal_e: Array | float, integration_s: float, *, fixed_pattern: bool
+    readout: Readout,
+    signal_e: Array | float,
+    integration_s: float,
+    *,
+    fixed_pattern: bool,
+    passing: bool = True,
 ) -> Array:
     """Return the variance of the estimate of mean electrons of light (...) over frames and, with
     `fixed_pattern`, over sensors.
 
-    Near a switch with the choice by noisy charges, as `merged_level`; beyond the last limit as if
-    nothing clipped.
+    Near a switch with the choice by noisy charges, as `merged_level`, which has `passing`; beyond
+    the last limit as if nothing clipped.
     """
     signal = np.maximum(np.asarray(signal_e, float), 0.0)
     count = readout.exposures
@@ -454,7 +463,7 @@ def merged_variance_e2(
         level_e = np.append(
             0.0, np.geomspace(_TABLE_FROM * brightest_e, brightest_e, _TABLE_LEVELS)
         )
-    moments = merged_level(readout, level_e / count, integration_s / count)
+    moments = merged_level(readout, level_e / count, integration_s / count, passing=passing)
     variance_e2 = count * moments.variance_e2
     if fixed_pattern:
         variance_e2 = variance_e2 + fixed_pattern_e2(

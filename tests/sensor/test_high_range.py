@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 import pixsim
 from pixsim import Pixel, PixsimError
+from pixsim.report.snr import snr_section
 from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.correction import correct, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
@@ -26,6 +27,9 @@ from pixsim.sensor.merge import level_variance_e2, merged_level
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MergedFrame, capture_from_rates, sample_sensor
+from pixsim.studies.merit import run_snr
+from pixsim.viewer.metric_options import MetricOptions
+from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.noise_budget import noise_budget
 
 SHEET = {
@@ -275,15 +279,6 @@ COMPANDING += [
 ]
 
 
-def test_contrast_detection_is_the_share_of_pairs_of_pixels() -> None:
-    rng = seeded(8)
-    a, b = rng.normal(400, 25, 400_000), rng.normal(480, 20, 400_000)
-    contrast = b / a - 1
-    share = np.mean((contrast > 0.1) & (contrast < 0.3))
-    expected = pixsim.metrics.contrast_detection_probability(400.0, 0.2, 25.0, 20.0)
-    assert abs(share - float(expected)) < 4 * math.sqrt(0.25 / 400_000)
-
-
 @pytest.mark.parametrize("claim", COMPANDING, ids=str)
 def test_numbers_of_companding(claim: Claim) -> None:
     claim.check()
@@ -342,12 +337,13 @@ KINDS: dict[str, tuple[dict, tuple[float, ...]]] = {
 }
 SHAPE = (200, 400)
 TIME_S = 0.1
+TIMED = Exposure(integration_s=TIME_S)
 
 
 def frame_of(
     sensor_pixel: Pixel, level_e: float, exposure: Exposure | None = None, **over
 ) -> MergedFrame:
-    exposure = exposure or Exposure(integration_s=TIME_S)
+    exposure = exposure or TIMED
     readout = Readout.of(derive(sensor_pixel)).with_physics(**over)
     sensor = sample_sensor(readout, SHAPE, seeded(5))
     rates = np.full(SHAPE, level_e / TIME_S)
@@ -379,6 +375,45 @@ def test_frames_have_mean_and_variance_of_the_closed_form(kind: str, merge: str)
         row_means = (estimate_e.mean(axis=1) - expected_e) / (sigma_e / math.sqrt(SHAPE[1]))
         low, high = chi2.ppf([0.001, 0.999], SHAPE[0])
         assert low < (row_means**2).sum() < high
+
+
+def flat_light(level: float, disc: float = 0.0) -> pixsim.SpectralImage:
+    """Uniform light, with a disc of 40 % of its width that differs by a contrast."""
+    picture = level * (1 + disc * (np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 13))
+    header = {"diffraction": False}
+    return pixsim.SpectralImage([550.0], 10.0, 2.8, data=picture[..., None], header=header)
+
+
+FLAT_CAMERA = pixsim.Camera(die_mm=64 * 2.8e-3, object_distance_m=1000.0)
+
+
+def unit_e_of(sensor_pixel: Pixel) -> tuple[float, float]:
+    """Electrons of `flat_light` of 1, and of the scene's white of 1 cd/m², in the time of all."""
+    display = pixsim.Display(white_cd_per_m2=1.0)
+    chain = imaging_chain(flat_light(1.0), FLAT_CAMERA, sensor_pixel, TIMED, display)
+    return TIME_S * float(chain.signal_e_per_s.mean()), TIME_S * chain.white_e_per_s
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_contrast_detection_is_the_share_of_pairs_of_pixels(kind: str) -> None:
+    """Of uniform frames 10 % apart, on both sides of a switch, and where both are full. The share
+    of all pairs scatters at most as that of 80 000 independent ones: 4 standard errors are passed
+    by one of 16 000.
+    """
+    sensor_pixel = pixel(KINDS[kind][0], prnu=0.01, **DARK)
+    unit_e, _ = unit_e_of(sensor_pixel)
+    display = pixsim.Display(white_cd_per_m2=1e9)
+    name = "contrast_detection_probability"
+    full_e = Readout.of(derive(sensor_pixel)).saturation_e
+    for level_e in (*KINDS[kind][1][1::2][:1], *KINDS[kind][1][-1:], 3 * full_e):
+        light = flat_light(level_e / unit_e)
+        metrics = pixsim.evaluate(
+            light, FLAT_CAMERA, sensor_pixel, TIMED, display=display, metrics=[name]
+        ).metrics
+        frames = [frame_of(sensor_pixel, factor * level_e).estimate_e for factor in (1.0, 1.1)]
+        share = pixsim.metrics.contrast_detection_share(*frames, 0.1)
+        gate = 4 * math.sqrt(max(share * (1 - share), 1e-9) / math.prod(SHAPE))
+        assert metrics[name] == pytest.approx(share, abs=gate), level_e
 
 
 def test_two_gains_of_one_charge_never_beat_shot_noise_and_two_exposures_do() -> None:
@@ -497,17 +532,96 @@ def test_light_beyond_the_full_well_is_shown_as_by_a_larger_well(
     assert large < merged < large + 0.1 * (clipped - large)
 
 
-def test_metrics_and_the_noise_budget_of_merged_frames() -> None:
-    """Of a merge whose small photodiode is never used, all numbers are those of the large one."""
-    names = ("information", "visual_noise", "mtf50", "snr10_lx", "niirs")
-    options = {"black_level_dn": 64, "pitch_um": 20.0}
-    merged = evaluated(pixel(SPLIT, **options), 0.4, **dict.fromkeys(names, 1)).metrics
-    single = evaluated(pixel(None, **options), 0.4, **dict.fromkeys(names, 1)).metrics
-    for name in names:
-        assert merged[name] == pytest.approx(single[name], rel=0.02), name
+# Of each kind: a sensor that has its last reading alone, and a level beyond the switch of all
+# surfaces that metrics compare.
+BEYOND: dict[str, tuple[dict[str, Any], dict[str, Any], float]] = {
+    "dual_gain": (
+        DUAL | {"conversion_gain_uv_per_e": [200, 5], "read_noise_e": [0.83, 6]},
+        {"read_noise_e": 6},
+        12_000,
+    ),
+    "overflow": (
+        KINDS["overflow"][0] | {"full_well_e": 1000, "capacitor_dark_e_per_s": 0},
+        {"full_well_e": 101_000, "read_noise_e": math.hypot(5, 50.857)},
+        60_000,
+    ),
+    "split": (
+        KINDS["split"][0],
+        {
+            "full_well_e": 7900,
+            "read_noise_e": 2.96,
+            "dark_current_e_per_s": 80,
+            "quantum_efficiency": 0.006,
+        },
+        400_000,
+    ),
+    "staggered": (
+        {"kind": "staggered", "ratio": 16.0},
+        {"dark_current_e_per_s": 500 / 16, "quantum_efficiency": 0.6 / 16},
+        300_000,
+    ),
+}
+BY_FIRST = {"split": {"snr10_lx"}, "staggered": {"snr10_lx"}}
+DRAWN = "delta_e", "visual_noise"  # metrics of noise that is drawn
 
+
+@pytest.mark.parametrize("kind", BEYOND)
+def test_metrics_beyond_a_switch_are_those_of_the_last_reading_alone(kind: str) -> None:
+    """Of validity of 6 σ, below which full readings pass. An SNR of 80 is reached by the first
+    photodiode of several, and the first exposure.
+    """
+    readout, last, level_e = BEYOND[kind]
+    sheet = DARK | {"bits": 14, "prnu": 0.004}
+    merged = pixel(readout | {"validity_sigmas": 6}, **sheet)
+    unit_e, white_e = unit_e_of(merged)
+    settings: dict[str, Any] = {
+        "display": pixsim.Display(white_cd_per_m2=level_e / 0.8 / white_e, dots=32),
+        "metrics": sorted({*METRICS} - {"flip"} - BY_FIRST.get(kind, set())),
+        "metric": MetricOptions(
+            snr10_lx={"snr": 80.0, "integration_s": TIME_S}, detectability={"registrations": 1}
+        ),
+        "without": flat_light(level_e / unit_e),
+        "seed": 3,
+    }
+    light = flat_light(level_e / unit_e, disc=0.02)
+    got, expected = (
+        pixsim.evaluate(light, FLAT_CAMERA, sensor_pixel, TIMED, **settings).metrics
+        for sensor_pixel in (merged, pixel(None, **sheet | last))
+    )
+    for name in settings["metrics"]:
+        tolerance = 0.1 if name in DRAWN else 1e-4
+        assert got[name] == pytest.approx(expected[name], rel=tolerance), name
+
+
+def test_the_noise_budget_of_merged_frames() -> None:
+    options = {"black_level_dn": 64, "pitch_um": 20.0}
     light = lights.patches()
     chain = imaging_chain(light, lights.camera(light), pixel(SPLIT, **options))
     chain = replace(chain, exposure=Exposure(integration_s=5 * 22_000 / chain.white_e_per_s))
     budget = noise_budget(chain, light, "budget", 1)
     assert budget.measured_e == pytest.approx(budget.total_e, rel=0.05)
+
+
+def test_a_run_has_the_snr_of_readings_against_charge_and_luminance() -> None:
+    """A frame of 4 subexposures has twice the SNR of one of them; white has its luminance."""
+    sensor_pixel = pixel(SPLIT, pitch_um=20.0)
+    result = pixsim.run(
+        lights.FOLDER / "patches.exr",
+        camera=lights.camera(lights.patches()).model_dump(exclude_unset=True),
+        pixel=sensor_pixel.model_dump(exclude_unset=True),
+        exposure={"integration_s": TIME_S, "frames": 4},
+    )
+    curve = run_snr(result)
+    assert curve is not None
+    table = snr_section(curve).blocks[1].drawn.csv.splitlines()
+    assert table[0] == "charge_e,luminance_cd_per_m2,merged_db,large_db,small_db"
+
+    single_db = pixsim.snr_db(sensor_pixel, curve.charge_e / 4)
+    np.testing.assert_allclose(curve.merged_db, single_db + 20 * math.log10(2), rtol=1e-12)
+    white_e = result.chain.white_e_per_s * TIME_S
+    assert curve.cd_per_m2_per_e * white_e == pytest.approx(
+        result.irradiance.header["luminance_cd_per_m2"]
+    )
+    ((switch_e, drop_db),) = curve.switches_e
+    beside_db = pixsim.snr_db(sensor_pixel, switch_e / 4 * np.array([1 - 1e-9, 1 + 1e-9]))
+    assert drop_db == pytest.approx(-np.diff(beside_db)[0], abs=1e-9)

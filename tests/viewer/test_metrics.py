@@ -680,11 +680,12 @@ CHANNELS = {
     for name, low in {"B": 400, "G": 500, "R": 600}.items()
 }
 VISIBLE = range(400, 701, 20)
+OF_COLOUR = "delta_e", "detectability", "flip", "contrast_detection_probability"
 # Pattern, bands, metrics that are defined, and the reason why others are not.
 SITUATIONS: dict[str, tuple[str, range, set[str], str]] = {
     "grey": ("", VISIBLE, set(METRICS), ""),
-    "mosaic": ("rggb", VISIBLE, {"delta_e", "detectability", "flip"}, "without colour filters"),
-    "stacked": ("stacked", VISIBLE, {"delta_e", "detectability", "flip"}, "without colour filters"),
+    "mosaic": ("rggb", VISIBLE, {*OF_COLOUR}, "without colour filters"),
+    "stacked": ("stacked", VISIBLE, {*OF_COLOUR}, "without colour filters"),
     "no target": ("", VISIBLE, set(METRICS) - {"detectability", "npwe"}, "without its target"),
     "infrared": ("", range(840, 901, 20), set(), "both the sensor and the eye"),
 }
@@ -1067,4 +1068,4 @@ def test_rounding_is_noise_from_half_a_code_of_noise_in_each_exposure(
     variance_e2 = exposures * (sigma_dn**2 + 1 / 12) / readout.dn_per_e**2
     refusal = pytest.raises(NoNumberError) if is_refused else nullcontext()
     with refusal:
-        _check_rounding(readout, variance_e2)
+        _check_rounding(METRICS["detectability"], readout, variance_e2)
