@@ -349,8 +349,8 @@ def merged_level(
 def _passing(
     readout: Readout, level_e: Array, integration_s: float, number: int, below_e: float
 ) -> tuple[Array, Array]:
-    """Return the share of pixels, (n,), in which a full reading passes as valid by noise behind
-    its limit, and the error of the estimate there.
+    """Return the share of pixels, (n,), in which a full reading passes as valid by noise and
+    offsets behind its limit, and the error of the estimate there.
 
     number : of the reading
     below_e : charge of its codes below which it is valid
@@ -365,13 +365,14 @@ def _passing(
     dn_per_e = reading.readout.dn_per_e
     first_invalid_dn = math.ceil(below_e * dn_per_e + black_dn)
     end_e = (first_invalid_dn - 0.5 - black_dn) / dn_per_e
-    z = (end_e - reading.limit_e) / max(reading.noise_e, 1e-9)
+    spread_e = max(math.hypot(reading.noise_e, reading.readout.offset_e), 1e-9)
+    z = (end_e - reading.limit_e) / spread_e
     passing = float(scipy.special.ndtr(z))
     if passing < _MIN_PASSING:
         return np.zeros(level_e.shape), np.zeros(level_e.shape)
 
     density = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
-    read_e = np.array([reading.limit_e - reading.noise_e * density / passing])
+    read_e = np.array([reading.limit_e - spread_e * density / passing])
     read_e = np.minimum(read_e, np.nextafter(below_e, 0.0))  # before it was rounded
     share = float(_share_of_reading(read_e, reading, below_e, readout.merge)[0])
     without_e = mean_weights(readout, level_e, integration_s, number + 1)

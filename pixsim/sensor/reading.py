@@ -514,11 +514,6 @@ class Reading:
         """Return the mean dark charge of the capacitor."""
         return self.capacitor_dark_e_per_s * integration_s
 
-    def centre_s(self, integration_s: float) -> float:
-        """Return the time at the centre of its exposure, after the start of the first one."""
-        start_s = self.start_share * integration_s + self.start_s
-        return start_s + self.length_share * integration_s / 2
-
 
 def with_all(readout: Readout, change: Callable[[Readout], Readout]) -> Readout:
     """Return a record and its readings, each changed by a function."""

@@ -470,7 +470,7 @@ def well_charge_e(name: str) -> float:
 
 CIRCUITS = {"area_um2": 2.0}
 STACK = {"height_um": 6.0, "index": 1.5, "microlens": "square"}
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 3.0,
     "full_well_e": 1e4,
     "read_noise_e": 2,
@@ -479,7 +479,7 @@ SHEET: dict[str, Any] = {
 }
 
 
-def beside_readout(pitch_um: float, technology: Any, area_um2: float) -> float:
+def beside_readout(pitch_um: float, technology, area_um2: float) -> float:
     return float(fill_factor_law(pitch_um, technology)) * (1 - area_um2 / pitch_um**2)
 
 
