@@ -50,7 +50,7 @@ from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
-from pixsim.sensor.reading import Readout
+from pixsim.sensor.reading import Readout, with_merge
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.viewer.imaging import Imaging
@@ -300,16 +300,11 @@ class DataSheet(Result):
     def true_saturation_p(self) -> float:
         """Photons at which the expected variance of the last reading has its peak."""
         e = self.experiment
-        response = 1.0
-        readout = e.readout
-        if e.is_merged:
-            last = e.whole.readout.readings[-1]
-            response = last.response
-            readout = last.readout
         assert self.output is not None
-        brightest_e = response * float(self.output.at[-1]) * e.efficiency
-        saturation_e = variance_peak_e(readout, e.integration_s, brightest_e)
-        return saturation_e / response / e.efficiency
+        last = with_merge(e.whole.readout).readings[-1]
+        e_per_photon = last.response * e.efficiency
+        brightest_e = e_per_photon * float(self.output.at[-1])
+        return variance_peak_e(last.readout, e.integration_s, brightest_e) / e_per_photon
 
     @property
     def full_in_the_dark(self) -> float:

@@ -31,7 +31,7 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import MAX_BLACK_SHARE, PixelPhysics, derive
 from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Readout, dark_spread_e, least_black_level_dn, with_all
+from pixsim.sensor.reading import Readout, dark_spread_e, least_black_level_dn, with_all, with_merge
 from pixsim.sensor.readout import (
     Sensor,
     frame_variance_dn2,
@@ -317,13 +317,9 @@ def _general_photons(readout: Readout, integration_s: float, efficiency: float) 
     """Return the photons of a characteristic curve: 0, equal ratios from below an SNR of 1, and
     equal steps to beyond the saturation of the last reading.
     """
-    response = 1.0
-    last = readout
-    if readout.readings:
-        response = readout.readings[-1].response
-        last = readout.readings[-1].readout
-    brightest_e = _BEYOND_SATURATION * _filling_light_e(last, integration_s) / response
-    steps_e = brightest_e * np.arange(_FIRST_FINE, EXPOSURES + 1) / EXPOSURES
+    last = with_merge(readout).readings[-1]
+    filling_e = _filling_light_e(last.readout, integration_s) / last.response
+    steps_e = _BEYOND_SATURATION * filling_e * np.arange(_FIRST_FINE, EXPOSURES + 1) / EXPOSURES
     dark_dn2 = float(frame_variance_dn2(0.0, integration_s, readout, fixed_pattern=False))
     lowest_e = min(_LOWEST_SNR * math.sqrt(dark_dn2) / readout.dn_per_e, steps_e[0] / 2)
     count = math.ceil(_PER_DECADE * math.log10(steps_e[0] / lowest_e))

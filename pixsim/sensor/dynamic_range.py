@@ -201,15 +201,27 @@ def readout_range(
         level_e for level_e in switches_of_frame_e(readout, integration_s) if level_e < largest_e
     ]
     ends_e = [min(_LOWEST_E, largest_e / 2), *switches_e, largest_e]
-    ranges: list[tuple[float, float]] = []
-    for low_e, high_e in pairwise(ends_e):
-        for start_e, end_e in _ranges_between(low_e, high_e, variance_e2, snr_db):
-            if ranges and start_e <= ranges[-1][1]:
-                ranges[-1] = ranges[-1][0], end_e
-            else:
-                ranges.append((start_e, end_e))
+    level_e = np.concatenate(
+        [np.geomspace(low_e, high_e * _BEFORE, _POINTS) for low_e, high_e in pairwise(ends_e)]
+    )
+
+    def is_above(level: Array) -> NDArray[np.bool_]:
+        return np.asarray(_snr_db(level, variance_e2) >= snr_db)
+
+    # Ranges end where the ratio crosses the threshold, and with the levels.
+    above = np.pad(is_above(level_e), 1)
+    bounds_e = np.pad(level_e, 1, mode="edge")
+    changes = np.flatnonzero(above[1:] != above[:-1])
+    inner, outer = bounds_e[changes], bounds_e[changes + 1]
+    for _ in range(_STEPS):
+        middle = np.sqrt(inner * outer)
+        is_before = is_above(middle) == above[changes]
+        inner = np.where(is_before, middle, inner)
+        outer = np.where(is_before, outer, middle)
+    crossings_e = np.sqrt(inner * outer).tolist()
+    ranges = tuple(zip(crossings_e[::2], crossings_e[1::2], strict=True))
     dark_noise_e = math.sqrt(float(variance_e2(np.zeros(1))[0]))
-    return DynamicRange(snr_db, tuple(ranges), largest_e, dark_noise_e)
+    return DynamicRange(snr_db, ranges, largest_e, dark_noise_e)
 
 
 def switches_of_frame_e(readout: Readout, integration_s: float) -> list[float]:
@@ -217,30 +229,3 @@ def switches_of_frame_e(readout: Readout, integration_s: float) -> list[float]:
     count = readout.exposures
     switches_e = (count * level_e for level_e in switch_levels_e(readout, integration_s / count))
     return [level_e for level_e in switches_e if level_e > _LOWEST_E]
-
-
-def _ranges_between(
-    low_e: float, high_e: float, variance: Callable[[Array], Array], threshold_db: float
-) -> list[tuple[float, float]]:
-    """Return the ranges with at least a threshold between two switches, both ends included."""
-    level_e = np.geomspace(low_e, high_e, _POINTS)
-    level_e[-1] = high_e * _BEFORE
-
-    def is_above(level: Array) -> NDArray[np.bool_]:
-        return np.asarray(_snr_db(level, variance) >= threshold_db)
-
-    above = is_above(level_e)
-    changes = np.flatnonzero(above[1:] != above[:-1])
-    inner, outer = level_e[changes], level_e[changes + 1]
-    for _ in range(_STEPS):
-        middle = np.sqrt(inner * outer)
-        is_before = is_above(middle) == above[changes]
-        inner = np.where(is_before, middle, inner)
-        outer = np.where(is_before, outer, middle)
-
-    ends_e = np.sqrt(inner * outer).tolist()
-    if above[0]:
-        ends_e = [low_e, *ends_e]
-    if above[-1]:
-        ends_e = [*ends_e, high_e]
-    return list(zip(ends_e[::2], ends_e[1::2], strict=True))

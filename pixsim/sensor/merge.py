@@ -38,7 +38,6 @@ _NEIGHBOURS = 3  # pixels along a side of the neighbourhood, of one channel
 
 def _valid_below_e(readout: Readout) -> list[float]:
     """Return the charges below which readings are valid; the last one always is."""
-    assert readout.merge is not None
     sigmas = readout.merge.validity_sigmas
     below_e = [reading.valid_below_e(sigmas) for reading in readout.readings[:-1]]
     return [*below_e, math.inf]
@@ -65,7 +64,6 @@ def _shares(readout: Readout, charges_e: Sequence[Array]) -> list[NDArray[Any]]:
 
     charges_e : of each reading with its dark charge, (...)
     """
-    assert readout.merge is not None
     return [
         _share_of_reading(charge_e, reading, below_e, readout.merge)
         for charge_e, reading, below_e in zip(
@@ -121,17 +119,21 @@ def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> list[
     ]
 
 
+def _estimates_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> list[Array]:
+    """Return the electrons of the first collector by each reading alone, (...) each."""
+    return [
+        (charge_e - reading.dark_e(integration_s)) / reading.response
+        for charge_e, reading in zip(charges_e, readout.readings, strict=True)
+    ]
+
+
 def merged_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> Array:
     """Return the estimate of the electrons of the first collector, (rows, columns).
 
     charges_e : of each reading with its dark charge, (rows, columns)
     integration_s : of one exposure
     """
-    assert readout.merge is not None
-    estimates_e = [
-        (charge_e - reading.dark_e(integration_s)) / reading.response
-        for charge_e, reading in zip(charges_e, readout.readings, strict=True)
-    ]
+    estimates_e = _estimates_e(readout, charges_e, integration_s)
     if readout.merge.merge == "max_likelihood":
         weights = frame_weights(readout, charges_e, integration_s)
         return np.asarray(
@@ -158,13 +160,9 @@ def frame_weights(
 
     The pilot of 'max_likelihood' is the mean over neighbours of the most sensitive valid readings.
     """
-    assert readout.merge is not None
     pilot_e = None
     if readout.merge.merge == "max_likelihood":
-        estimates_e = [
-            (charge_e - reading.dark_e(integration_s)) / reading.response
-            for charge_e, reading in zip(charges_e, readout.readings, strict=True)
-        ]
+        estimates_e = _estimates_e(readout, charges_e, integration_s)
         selected_e = _nested(_shares(readout, charges_e), estimates_e)
         pilot_e = _neighbourhood_means(selected_e, readout.physics.layout)
     return merge_weights(readout, charges_e, integration_s, pilot_e)
@@ -241,14 +239,12 @@ def mean_weights(readout: Readout, level_e: Array, integration_s: float, first: 
     ]
     for number in range(first):
         charges_e[number] = np.full(level_e.shape, math.inf)
-    assert readout.merge is not None
     pilot_e = level_e if readout.merge.merge == "max_likelihood" else None
     return np.stack(merge_weights(readout, charges_e, integration_s, pilot_e))
 
 
 def _switch_charges_e(readout: Readout) -> list[list[float]]:
     """Return the charges of each reading at which its share has a step or a kink, rising."""
-    assert readout.merge is not None
     merge = readout.merge
     shares = (merge.blend_from_share, merge.blend_to_share) if merge.merge == "blend" else ()
     ends_e = [
@@ -302,7 +298,6 @@ def merged_level(
 
     passing : whether these count, which are too few for a normal law
     """
-    assert readout.merge is not None
     readings = readout.readings
     below_e = _valid_below_e(readout)
     covariance = covariances_e2(readout, level_e, integration_s)
@@ -355,7 +350,6 @@ def _passing(
     number : of the reading
     below_e : charge of its codes below which it is valid
     """
-    assert readout.merge is not None
     reading = readout.readings[number]
     charge_e = reading.response * level_e + reading.dark_e(integration_s)
     is_full = scipy.special.ndtr((charge_e - reading.limit_e) / np.sqrt(np.maximum(charge_e, 1.0)))
@@ -365,7 +359,7 @@ def _passing(
     dn_per_e = reading.readout.dn_per_e
     first_invalid_dn = math.ceil(below_e * dn_per_e + black_dn)
     end_e = (first_invalid_dn - 0.5 - black_dn) / dn_per_e
-    spread_e = max(math.hypot(reading.noise_e, reading.readout.offset_e), 1e-9)
+    spread_e = max(reading.spread_e, 1e-9)
     z = (end_e - reading.limit_e) / spread_e
     passing = float(scipy.special.ndtr(z))
     if passing < _MIN_PASSING:
@@ -388,7 +382,6 @@ def _weights_with(
 
     others : the weights where it is not
     """
-    assert readout.merge is not None
     alone = np.zeros(others.shape)
     alone[number] = 1.0
     if readout.merge.merge != "max_likelihood":
@@ -418,7 +411,7 @@ def _normal_nodes(charge_e: Array, sigma_e: Array, ends_e: Sequence[float]) -> t
 def fixed_pattern_e2(
     readout: Readout, level_e: Array, integration_s: float, weights: Array
 ) -> Array:
-    """Return the variance of the estimate over pixels by PRNU, DSNU and offsets, (n,).
+    """Return the variance of the estimate over pixels by gain, DSNU and offsets, (n,).
 
     level_e : mean electrons of light of the first collector in a frame
     integration_s : of a frame
@@ -433,8 +426,12 @@ def fixed_pattern_e2(
     offset = [frame.offset_e for frame in frames]
     patterns_e = gain, integration_s * np.array(dark)[:, None] / response
     is_shared = (diodes[:, None] == diodes).astype(float)
+    dark_e = np.array([reading.dark_e(integration_s) for reading in readings])[:, None]
+    spread = np.array([math.hypot(*reading.gain_spreads) for reading in readings])[:, None]
+    scatter_e = weights * spread * (level_e + dark_e / response)
     return np.asarray(
-        sum(
+        (scatter_e**2).sum(axis=0)
+        + sum(
             np.einsum("kn,kl,ln->n", weights * pattern_e, is_shared, weights * pattern_e)
             for pattern_e in (*patterns_e, np.array(offset)[:, None] / response)
         )

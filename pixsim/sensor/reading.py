@@ -39,6 +39,7 @@ from pixsim.sensor.readout_options import CollectorOptions, ReadingOptions, Read
 # The public names; everything else is internal.
 __all__ = ["Adc", "Reading", "Readout", "dark_spread_e", "least_black_level_dn"]
 
+_ONE_READING = ReadoutOptions()
 _FF_UV = 1e21  # capacitance in fF of a charge in C and its voltage in µV
 
 
@@ -149,7 +150,7 @@ class Readout:
     silent : names of noise sources that are switched off
     readings : of a pixel that is read several times, from the most sensitive one on; then all
         numbers of this record but `saturation_e` belong to the first one
-    merge : how the readings become one estimate of electrons, or None
+    merge : how the readings become one estimate of electrons
 
     Raises PixsimError if the codes of a frame have more than 31 bits.
     """
@@ -163,7 +164,7 @@ class Readout:
     bin_side: Count = 1
     silent: tuple[str, ...] = ()
     readings: tuple[Reading, ...] = ()
-    merge: ReadoutOptions | None = None
+    merge: ReadoutOptions = _ONE_READING
 
     def __post_init__(self) -> None:
         """Raise PixsimError if the codes of a frame have more than 31 bits."""
@@ -467,6 +468,8 @@ class Reading:
         time
     overflow : whether it reads the overflow capacitor, too
     capacitor_dark_e_per_s : dark current of the capacitor, if it reads it
+    gain_spread, column_gain_spread : standard deviation of its gain over pixels and over columns,
+        relative
     gain_error, black_error_dn : errors of its gain, relative, and of its black level, of which the
         merge does not know
     """
@@ -481,6 +484,8 @@ class Reading:
     start_s: float = 0.0
     overflow: bool = False
     capacitor_dark_e_per_s: float = 0.0
+    gain_spread: float = 0.0
+    column_gain_spread: float = 0.0
     gain_error: float = 0.0
     black_error_dn: float = 0.0
 
@@ -494,17 +499,29 @@ class Reading:
         """Temporal noise behind the limit: reset, read and row noise, without rounding."""
         return self.readout.noise_floor_e
 
+    @property
+    def gain_spreads(self) -> tuple[float, float]:
+        """Standard deviation of its gain over pixels and over columns, which count as PRNU."""
+        if "PRNU" in self.readout.silent:
+            return 0.0, 0.0
+        return self.gain_spread, self.column_gain_spread
+
+    @property
+    def spread_e(self) -> float:
+        """Standard deviation of a full reading over frames and pixels, without rounding."""
+        gain_e = self.limit_e * math.hypot(*self.gain_spreads)
+        return math.hypot(self.noise_e, self.readout.offset_e, gain_e)
+
     def rounding_e2(self, charge_e: Array) -> Array | float:
         """Return the variance by rounding of charges, (...), in electrons."""
         return self.readout.adc.rounding_e2(charge_e, self.readout.dn_per_e)
 
     def valid_below_e(self, sigmas: float) -> float:
         """Return the charge below which the reading is valid: so many standard deviations of the
-        noise behind the limit below it, offsets and rounding included.
+        noise behind the limit below it, offsets, gain and rounding included.
         """
         rounding_e = math.sqrt(float(self.rounding_e2(np.asarray(self.limit_e))))
-        spread_e = math.hypot(self.noise_e, self.readout.offset_e, rounding_e)
-        return self.limit_e - sigmas * spread_e
+        return self.limit_e - sigmas * math.hypot(self.spread_e, rounding_e)
 
     def dark_e(self, integration_s: float) -> float:
         """Return the mean dark charge that it reads, of the collector and of the capacitor."""
@@ -528,7 +545,7 @@ def with_merge(readout: Readout) -> Readout:
     if readout.readings:
         return readout
     once = Reading("pixel", readout, collector=0, photodiode=0)
-    return replace(readout, readings=(once,), merge=ReadoutOptions())
+    return replace(readout, readings=(once,))
 
 
 def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
@@ -569,6 +586,8 @@ def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
                 capacitor_dark_e_per_s=(
                     physics.growth * collector.capacitor_dark_e_per_s if reading.overflow else 0.0
                 ),
+                gain_spread=reading.gain_spread,
+                column_gain_spread=reading.column_gain_spread,
                 gain_error=reading.gain_error,
                 black_error_dn=reading.black_error_dn,
             )

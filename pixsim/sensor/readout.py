@@ -63,7 +63,7 @@ from pixsim.sensor.quantities import (
     Pitch,
     SaturatedFraction,
 )
-from pixsim.sensor.reading import Readout
+from pixsim.sensor.reading import Reading, Readout
 from pixsim.sensor.technology import load_technology
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal
@@ -164,6 +164,7 @@ class Sensor:
     dark_gain : (rows, columns) dark current relative to the mean pixel, positive, mean 1
     offset_e : (rows, columns)
     column_offset_e : (1, columns)
+    gain_errors : (rows, columns) of each reading whose gain scatters, relative; None of others
     further : the sensors of further photodiodes of each pixel, if it has several; without their
         own
     """
@@ -174,6 +175,7 @@ class Sensor:
     dark_gain: Array | None = field(repr=False)
     offset_e: Array | None = field(repr=False)
     column_offset_e: Array | None = field(repr=False)
+    gain_errors: tuple[Array | None, ...] = field(default=(), repr=False)
     further: tuple[Sensor, ...] = field(default=(), repr=False)
 
 
@@ -211,7 +213,21 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
         _draw_gaussian(column_spread_e, column_offset_e, rng)
     diodes = {reading.photodiode: reading.readout for reading in reversed(readout.readings)}
     further = tuple(sample_sensor(diodes[number], shape, rng) for number in sorted(diodes)[1:])
-    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e, further)
+    gain_errors = tuple(_gain_errors(reading, shape, rng) for reading in readout.readings)
+    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e, gain_errors, further)
+
+
+def _gain_errors(
+    reading: Reading, shape: tuple[int, int], rng: np.random.Generator
+) -> Array | None:
+    """Draw how far the gains of a reading are off their mean, (rows, columns), relative; None if
+    they do not scatter.
+    """
+    pixel_spread, column_spread = reading.gain_spreads
+    if not (pixel_spread or column_spread):
+        return None
+    columns = column_spread * rng.standard_normal(shape[1])
+    return np.asarray(columns + pixel_spread * rng.standard_normal(shape))
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -560,7 +576,7 @@ def _read_level(
     dn: NDArray[np.int32],
     work: Array,
     *,
-    gain_error: float = 0.0,
+    gain_error: Array | float = 0.0,
     black_error_dn: float = 0.0,
 ) -> tuple[NDArray[np.bool_], int]:
     """Write the codes of some rows to `dn`; return which pixels are full, and how many saturate.
@@ -631,7 +647,7 @@ def _expose_readings(
     estimate_e = np.zeros(mean_e.shape, np.float32)
     saturated = np.zeros(mean_e.shape, bool)
     # Neighbours of a row belong to the merge of maximum likelihood.
-    is_by_rows = readout.merge is None or readout.merge.merge != "max_likelihood"
+    is_by_rows = readout.merge.merge != "max_likelihood"
 
     def merge(rows: slice) -> None:
         dn = [code[rows] for code in codes]
@@ -675,7 +691,9 @@ def _read_rows(
     charges_e: dict[int, NDArray[Any]] = {}
     capacitors_e: dict[int, NDArray[Any]] = {}
     is_full = np.zeros(light_e.shape, bool)
-    for reading, codes in zip(sensor.readout.readings, dn, strict=True):
+    for reading, gain_errors, codes in zip(
+        sensor.readout.readings, sensor.gain_errors, dn, strict=True
+    ):
         diode = sensor if not reading.photodiode else sensor.further[reading.photodiode - 1]
         readout = reading.readout
         if reading.collector not in charges_e:
@@ -699,7 +717,7 @@ def _read_rows(
             rng,
             codes,
             work[0],
-            gain_error=reading.gain_error,
+            gain_error=reading.gain_error + (0.0 if gain_errors is None else gain_errors[rows]),
             black_error_dn=reading.black_error_dn,
         )
     return is_full

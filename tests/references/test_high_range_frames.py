@@ -52,7 +52,6 @@ def frame_of(readout: Readout, level_e: float) -> MergedFrame:
 def readout_of(sensor: Pixel, validity_sigmas: float | None = None) -> Readout:
     """A readout with fine codes; of readings that are valid only far below their limit, if stated."""
     readout = Readout.of(derive(sensor.model_copy(update={"bits": 24})))
-    assert readout.merge is not None
     if validity_sigmas is None:
         return readout
     merge = readout.merge.model_copy(update={"validity_sigmas": validity_sigmas})

@@ -33,7 +33,7 @@ from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.correction import correct, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.merge import level_variance_e2, mean_weights, merged_level
+from pixsim.sensor.merge import level_variance_e2, mean_weights, merged_level, merged_variance_e2
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.reading import Readout
@@ -389,6 +389,26 @@ def test_a_gain_error_makes_a_step_at_the_switch() -> None:
     half_dn_e = 0.5 * 7900 / 4031 / 0.01
     for got, expected in ((below, 5e3), (above, 1.02 * 6e3), (small, 5e4 + half_dn_e)):
         assert abs(got - expected) < 4 * math.sqrt(expected / 0.01 / math.prod(SHAPE))
+
+
+@pytest.mark.parametrize(("level_e", "scatters"), [(3000.0, False), (15_000.0, True)])
+def test_gains_of_a_reading_scatter_where_it_is_used(level_e: float, scatters: bool) -> None:
+    """By 1 % over pixels and .5 % over columns; full readings that pass are left out."""
+    options = split_of_three(validity_sigmas=6)
+    options["reading"][1] |= {"gain_spread": 0.01, "column_gain_spread": 0.005}
+    sensor_pixel = pixel(options, bits=16, black_level_dn=900)
+    estimate_e = frame_of(sensor_pixel, level_e).estimate_e
+    expected_e2 = float(
+        merged_variance_e2(
+            Readout.of(derive(sensor_pixel)), np.array(level_e), TIME_S, fixed_pattern=True
+        )
+    )
+    assert expected_e2 == pytest.approx(level_e + scatters * 1.25e-4 * level_e**2, rel=2e-3)
+    assert estimate_e.var() == pytest.approx(expected_e2, rel=0.03)
+    columns_e2 = estimate_e.mean(axis=0).var()
+    noise_e2 = (expected_e2 - scatters * (0.005 * level_e) ** 2) / SHAPE[0]
+    expected_e2 = noise_e2 + scatters * (0.005 * level_e) ** 2
+    assert columns_e2 == pytest.approx(expected_e2, rel=4 * math.sqrt(2 / SHAPE[1]))
 
 
 def test_patterns_belong_to_photodiodes() -> None:
