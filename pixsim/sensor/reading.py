@@ -21,7 +21,7 @@ from pixsim.base.bounds import Count, NotNegative, Positive
 from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
-from pixsim.sensor.companding import Knees, decode, encode, packaged_knees, steps_dn
+from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread
 from pixsim.sensor.noise import constant_e, variance_e2
@@ -33,7 +33,7 @@ from pixsim.sensor.pixel import (
     reset_noise_e,
     usual_black_level_dn,
 )
-from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb
+from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb, Knees
 from pixsim.sensor.readout_options import CollectorOptions, ReadingOptions, ReadoutOptions
 
 # The public names; everything else is internal.

@@ -451,6 +451,26 @@ def test_raw_files_have_the_readings_one_below_the_other(tmp_path: Path, suffix:
     assert electrons.mean() == pytest.approx(1000, rel=0.005)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".exr", ".tiff", ".png"])
+def test_raw_files_have_knees_in_the_file_and_beside_it(tmp_path: Path, suffix: str) -> None:
+    """The table beside a file of another program is its companding."""
+    sheet = {"full_well_e": 60_000, "black_level_dn": 200, "bits": 16}
+    frame = frame_of(pixel(None, companding="imx585", **sheet), 40_000.0)
+    pixsim.write_frame(tmp_path / f"raw{suffix}", frame)
+    raw = pixsim.read_frame(tmp_path / f"raw{suffix}")
+    assert raw.knees == IMX585
+    facts = raw.readings["pixel"]
+    electrons = (raw.linear_dn - facts["black_level_dn"]) / facts["dn_per_e"]
+    assert electrons == pytest.approx(frame.estimate_e, rel=1e-6)
+
+    np.savez(tmp_path / "other.npz", raw.dn)
+    (tmp_path / "raw.knees.csv").rename(tmp_path / "other.knees.csv")
+    assert pixsim.read_frame(tmp_path / "other.npz").knees == IMX585
+    (tmp_path / "other.knees.csv").write_text("0,0\n5,9\n")
+    with pytest.raises(PixsimError, match="rising"):
+        pixsim.read_frame(tmp_path / "other.npz")
+
+
 def test_dark_and_flat_frames_correct_merged_frames() -> None:
     """PRNU of 5 % goes: 0.5 % of the pixels' noise is left by 100 flat frames."""
     sensor_pixel = pixel(DUAL, prnu=0.05, dsnu=0.3, **DARK)
