@@ -298,7 +298,7 @@ class DataSheet(Result):
 
     @cached_property
     def true_saturation_p(self) -> float:
-        """Photons at which the expected variance of the last reading has its peak."""
+        """Number of photons per pixel at which the expected variance of the last reading peaks."""
         e = self.experiment
         assert self.output is not None
         last = with_merge(e.whole.readout).readings[-1]
