@@ -13,7 +13,7 @@ weights by what is valid: x_k below its limit by some σ_k.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.noise import Along, constant_e, variance_e2
 from pixsim.sensor.reading import Reading, Readout
 from pixsim.sensor.readout_options import ReadoutOptions
 
@@ -33,6 +34,7 @@ _UNUSED_E2 = 1e30  # variance of readings that are not valid
 _MIN_WEIGHT = 1e-12  # of a valid reading
 _TABLE_LEVELS = 2048  # more levels are interpolated in a table: a third of a deviation at 1e5 e-
 _TABLE_FROM = 1e-6  # of the brightest level
+LINES: tuple[Along, Along] = ("column", "row")  # pixels that share an offset
 _NEIGHBOURS = 3  # pixels along a side of the neighbourhood, of one channel
 
 
@@ -425,17 +427,65 @@ def fixed_pattern_e2(
     dark = [frame.dark_spread.deviation * frame.dark_current_e_per_s for frame in frames]
     offset = [frame.offset_e for frame in frames]
     patterns_e = gain, integration_s * np.array(dark)[:, None] / response
-    is_shared = (diodes[:, None] == diodes).astype(float)
     dark_e = np.array([reading.dark_e(integration_s) for reading in readings])[:, None]
     spread = np.array([math.hypot(*reading.gain_spreads) for reading in readings])[:, None]
     scatter_e = weights * spread * (level_e + dark_e / response)
     return np.asarray(
         (scatter_e**2).sum(axis=0)
         + sum(
-            np.einsum("kn,kl,ln->n", weights * pattern_e, is_shared, weights * pattern_e)
+            _sum_shared_e2(weights * pattern_e, diodes)
             for pattern_e in (*patterns_e, np.array(offset)[:, None] / response)
         )
     )
+
+
+def _sum_shared_e2(parts_e: Array, sources: NDArray[np.int_]) -> Array:
+    """Return the variance of a sum of offsets (K, n), of which those of one source (K,) are
+    equal but for their size.
+    """
+    is_shared = (sources[:, None] == sources).astype(float)
+    return np.asarray(np.einsum("kn,kl,ln->n", parts_e, is_shared, parts_e))
+
+
+def line_variance_e2(
+    readout: Readout, signal_e: Array | float, integration_s: float, along: Along
+) -> Array | float:
+    """Return the variance of the offsets that the pixels of a row, or of a column, share at mean
+    electrons of light (...) of a frame; of a pixel that is read once, at all of them.
+    """
+    if not readout.readings:
+        return variance_e2(readout, along=along)
+    count = readout.exposures
+    offsets_e = np.array(
+        [
+            constant_e(reading.readout.burst(count), along=along) / reading.response
+            for reading in readout.readings
+        ]
+    )
+    if not offsets_e.any():
+        return 0.0
+    # Rows have others in each reading, columns those of the photodiode.
+    sources = np.arange(offsets_e.size)
+    if along == "column":
+        sources = np.array([reading.photodiode for reading in readout.readings])
+
+    def at(level_e: Array) -> Array:
+        weights = mean_weights(readout, level_e / count, integration_s / count)
+        return _sum_shared_e2(weights * offsets_e[:, None], sources)
+
+    return _by_level(at, signal_e)
+
+
+def _by_level(function: Callable[[Array], Array], signal_e: Array | float) -> Array:
+    """Return a function of levels (n,) at signals (...); of many, interpolated in a table."""
+    signal = np.maximum(np.asarray(signal_e, float), 0.0)
+    level_e = signal.ravel()
+    if level_e.size <= _TABLE_LEVELS:
+        return function(level_e).reshape(signal.shape)
+    # Between switches the variance is linear in the level, but for squares of fixed pattern.
+    brightest_e = max(float(level_e.max()), 1.0)
+    level_e = np.append(0.0, np.geomspace(_TABLE_FROM * brightest_e, brightest_e, _TABLE_LEVELS))
+    return np.interp(signal, level_e, function(level_e))
 
 
 def merged_variance_e2(
@@ -452,24 +502,16 @@ def merged_variance_e2(
     Near a switch with the choice by noisy charges, as `merged_level`, which has `passing`; beyond
     the last limit as if nothing clipped.
     """
-    signal = np.maximum(np.asarray(signal_e, float), 0.0)
     count = readout.exposures
-    level_e = signal.ravel()
-    if level_e.size > _TABLE_LEVELS:
-        # Between switches the variance is linear in the level, but for squares of fixed pattern.
-        brightest_e = max(float(level_e.max()), 1.0)
-        level_e = np.append(
-            0.0, np.geomspace(_TABLE_FROM * brightest_e, brightest_e, _TABLE_LEVELS)
-        )
-    moments = merged_level(readout, level_e / count, integration_s / count, passing=passing)
-    variance_e2 = count * moments.variance_e2
-    if fixed_pattern:
-        variance_e2 = variance_e2 + fixed_pattern_e2(
-            readout, level_e, integration_s, moments.weights
-        )
-    if level_e.size != signal.size:
-        return np.interp(signal, level_e, variance_e2)
-    return np.asarray(variance_e2.reshape(signal.shape))
+
+    def at(level_e: Array) -> Array:
+        moments = merged_level(readout, level_e / count, integration_s / count, passing=passing)
+        variance_e2 = count * moments.variance_e2
+        if not fixed_pattern:
+            return np.asarray(variance_e2)
+        return variance_e2 + fixed_pattern_e2(readout, level_e, integration_s, moments.weights)
+
+    return _by_level(at, signal_e)
 
 
 def estimated_variance_e2(

@@ -33,7 +33,8 @@ from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.colour_options import binned_cell
 from pixsim.sensor.correction import flat_light_e, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.merge import LINES, line_variance_e2
+from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.demosaic import (
@@ -291,8 +292,9 @@ def noise_of_expected_e2(
     column loses, is shared by it, and so are the offsets that rows have in dark and flat frames by
     the rows.
     """
-    row_e2 = float(variance_e2(readout, is_temporal=True, along="row"))
-    column_e2 = float(variance_e2(readout, is_temporal=False, along="column"))
+    column_e2, row_e2 = (
+        float(np.mean(line_variance_e2(readout, signal_e, integration_s, along))) for along in LINES
+    )
     if not correction.is_on:
         total_e2 = frame_variance_dn2(signal_e, integration_s, readout) / readout.dn_per_e**2
         return np.maximum(total_e2 - row_e2 - column_e2, 0.0), column_e2, row_e2
@@ -651,9 +653,12 @@ def noise_covariance(
     readout = raw.readout
     layout = raw.layout
     electrons_e = np.maximum(levels, 0.0) * raw.white_e
-    column_e = constant_e(readout, along="column")
-    row_e = constant_e(readout, along="row")
-    total_dn2 = frame_variance_dn2(electrons_e, raw.frame.integration_s, readout)
+    time_s = raw.frame.integration_s
+    column_e, row_e = (
+        float(np.sqrt(np.mean(line_variance_e2(readout, electrons_e, time_s, along))))
+        for along in LINES
+    )
+    total_dn2 = frame_variance_dn2(electrons_e, time_s, readout)
     pixel_e2 = total_dn2 / readout.dn_per_e**2 - column_e**2 - row_e**2
 
     count = len(raw.white_e)

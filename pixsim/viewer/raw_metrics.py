@@ -18,7 +18,7 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.code_moments import COARSE_DN, FARTHEST_SIGMAS, moments_of_codes
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
-from pixsim.sensor.merge import merged_variance_e2
+from pixsim.sensor.merge import LINES, line_variance_e2, merged_variance_e2
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.sensor.reading import Readout, with_merge
@@ -79,7 +79,7 @@ def variance_of_pixels_e2(
         merged_e2 = merged_variance_e2(
             readout, signal_e, time_s, fixed_pattern=True, passing=passing
         )
-        return np.maximum(merged_e2 - _line_variance_e2(readout), 0.0)
+        return np.maximum(merged_e2 - _line_variance_e2(readout, signal_e, time_s), 0.0)
     dark_e = readout.dark_current_e_per_s * time_s
     alone_e2 = variance_e2(
         readout, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel"
@@ -468,8 +468,10 @@ def _d_prime(frame: ExpectedFrame) -> float:
     pixel_e2 += quadratic / 4 * difference_e**2
     _check_rounding(DETECTABILITY, readout, float(pixel_e2.min()))
 
-    column_e2 = float(np.mean(variance_e2(readout, along="column")))
-    row_e2 = float(np.mean(variance_e2(readout, along="row")))
+    column_e2, row_e2 = (
+        float(np.mean(line_variance_e2(readout, background_e, frame.integration_s, along)))
+        for along in LINES
+    )
     tables = code_tables(frame, target_e, background_e)
     if not tables:
         return detectability(difference_e, pixel_e2, column_variance=column_e2, row_variance=row_e2)
@@ -890,11 +892,12 @@ def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
         alone = reading.readout.burst(readout.exposures)
         pixel_e2 = float(variance_of_pixels_e2(alone, 0.0, options.integration_s))
         pixel_e2 += reading.capacitor_e(options.integration_s)
+        line_e2 = float(_line_variance_e2(alone, 0.0, options.integration_s))
         illuminance_lx = snr10_lx(
             reading.response * development.white_e_per_s * options.integration_s,
             white_cd_per_m2(frame.light.mean, development.screen.display),
             reflectance=options.reflectance,
-            dark_variance_e2=pixel_e2 + pixels_across_dot * _line_variance_e2(alone),
+            dark_variance_e2=pixel_e2 + pixels_across_dot * line_e2,
             prnu=alone.prnu,
             pixels_per_dot=pixels_across_dot**2,
             snr=options.snr,
@@ -911,11 +914,12 @@ def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
     return (illuminance_lx,)
 
 
-def _line_variance_e2(readout: Readout) -> float:
-    """Return the variance of the offsets of columns and of rows together."""
-    column_e2 = float(np.mean(variance_e2(readout, along="column")))
-    row_e2 = float(np.mean(variance_e2(readout, along="row")))
-    return column_e2 + row_e2
+def _line_variance_e2(readout: Readout, signal_e: Array | float, time_s: float) -> Array:
+    """Return the variance of the offsets of columns and of rows together, in the shape of the
+    signal, or one for all.
+    """
+    column_e2, row_e2 = (line_variance_e2(readout, signal_e, time_s, along) for along in LINES)
+    return np.asarray(column_e2 + row_e2)
 
 
 SNR10_LX = Metric(
@@ -962,7 +966,7 @@ def _niirs(under_test: FrameUnderTest) -> tuple[float]:
         raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Shorten the exposure.")))
 
     noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))
-    noise_e2 += _line_variance_e2(readout)
+    noise_e2 += float(_line_variance_e2(readout, brighter_e, time_s))
     snr = (brighter_e - darker_e) / math.sqrt(noise_e2)
 
     # Lengths on the ground over those on the sensor.
@@ -1002,7 +1006,6 @@ def _contrast_detection(under_test: FrameUnderTest) -> tuple[float]:
     options = under_test.options.contrast_detection_probability
     levels_e = frame.signal_e, (1 + options.contrast) * frame.signal_e
     tables = code_tables(frame, *levels_e)
-    line_e2 = _line_variance_e2(readout)
 
     means = []
     deviations = []
@@ -1011,6 +1014,7 @@ def _contrast_detection(under_test: FrameUnderTest) -> tuple[float]:
         _check_rounding(CONTRAST_DETECTION, readout, float(alone_e2.min()))
         moments = code_moments(tables, level_e, alone_e2)
         means.append(moments.mean_e)
+        line_e2 = _line_variance_e2(readout, level_e, frame.integration_s)
         total_e2 = moments.variance_e2 + moments.offset_slope**2 * line_e2
         deviations.append(np.sqrt(np.maximum(total_e2, (_MIN_DEVIATION / readout.dn_per_e) ** 2)))
     probability = detection_probability(

@@ -523,6 +523,7 @@ def test_light_beyond_the_full_well_is_shown_as_by_a_larger_well(
     assert large < merged < large + 0.1 * (clipped - large)
 
 
+COLUMN_E = 11.0  # offsets of columns
 # Of each kind: a sensor that has its last reading alone, and a level beyond the switch of all
 # surfaces that metrics compare.
 BEYOND: dict[str, tuple[dict, dict, float]] = {
@@ -533,7 +534,11 @@ BEYOND: dict[str, tuple[dict, dict, float]] = {
     ),
     "overflow": (
         KINDS["overflow"][0] | {"full_well_e": 1000, "capacitor_dark_e_per_s": 0},
-        {"full_well_e": 101_000, "read_noise_e": math.hypot(5, 50.857)},
+        {
+            "full_well_e": 101_000,
+            "read_noise_e": math.hypot(5, 50.857),
+            "column_fpn": COLUMN_E / 101_000,
+        },
         60_000,
     ),
     "split": (
@@ -541,6 +546,7 @@ BEYOND: dict[str, tuple[dict, dict, float]] = {
         {
             "full_well_e": 7900,
             "read_noise_e": 2.96,
+            "column_fpn": COLUMN_E / 7900,
             "dark_current_e_per_s": 80,
             "quantum_efficiency": 0.006,
         },
@@ -562,7 +568,8 @@ def test_metrics_beyond_a_switch_are_those_of_the_last_reading_alone(kind: str) 
     photodiode of several, and the first exposure.
     """
     readout, last, level_e = BEYOND[kind]
-    sheet = DARK | {"bits": 14, "prnu": 0.004}
+    sheet = DARK | {"bits": 14, "prnu": 0.004, "row_noise_e": 8.0}
+    sheet |= {"column_fpn": COLUMN_E / 22_000}
     merged = pixel(readout | {"validity_sigmas": 6}, **sheet)
     unit_e, white_e = unit_e_of(merged)
     settings = {

@@ -229,6 +229,10 @@ REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
         partial(given, **TARGET),
         ("'detectability'", "without its target"),
     ),
+    "a metric without a best size alone": (
+        partial(given, metrics=["contrast_detection_probability", "delta_e"]),
+        ("first, which has no best pixel size", "as delta_e"),
+    ),
     "ground resolution without a distance": (
         partial(given, metrics=["niirs"]),
         ("'niirs'", "object_distance_m"),
