@@ -119,14 +119,24 @@ def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
     assert not any(found.values()), found
 
 
+# Modules whose claims are settings without effect, all that a page says, or that nothing else is
+# raised, whatever the settings.
+REVIEWED = (
+    "test_without_effect",
+    "test_preparation",
+    "test_golden",
+    "test_properties",
+    "test_arguments",
+)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def unreviewed(request: pytest.FixtureRequest) -> Iterator[None]:
     """No setting is said to do nothing, which takes a third of the time of a small frame's score:
-    in rooms whose claims are others, but for the modules that have this one.
+    in modules whose claims are others.
     """
-    has_claim = request.path.stem in ("test_without_effect", "test_preparation")
     with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name in ("viewer", "studies", "explorer", "cli") and not has_claim:
+        if request.path.stem not in REVIEWED:
             patch.setattr(UserSettings, "without_effect", lambda _: [])
         yield
 
