@@ -144,7 +144,7 @@ OWN = {
 ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
     (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")),
     ("width", "height"),
-)
+) | dict.fromkeys(("pixsim.evaluate", "pixsim.sweep"), ("display",))  # 512 dots are many
 INSTANCES: dict[str, Callable] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "Readout": lambda: READOUT,
