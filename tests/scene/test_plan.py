@@ -36,7 +36,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
-# Elsewhere: tests/references compares the pictures of csf, test_scenes the patches under smooth
+# Elsewhere: tests/references compares the pictures of csf, and the patches under smooth
 # lamps, flat has one luminance.
 CASES = {
     "target": ("target", {}),

@@ -1,5 +1,5 @@
-"""Scenes with lamps and objects, and the edits of scenes/README.md: each changes the picture as
-physics predicts.
+"""The packaged scenes and their spectra as files: against standards, in stock Mitsuba, and with the
+edits of scenes/README.md, each of which changes the picture as physics predicts.
 """
 
 import re
