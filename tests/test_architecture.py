@@ -4,15 +4,12 @@ counts.
 
 import ast
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
-from importlib.metadata import version
-from pathlib import Path
 
 import pytest
 from helpers.language import by_room, placeholders
@@ -194,18 +191,6 @@ def test_functions_between_light_and_score_take_imaging() -> None:
     } == BUILD_IMAGING
 
 
-def test_architecture_names_each_file_of_studies() -> None:
-    page = Path(__file__).parents[1] / "docs/architecture.md"
-    if not page.is_file():
-        pytest.skip("the tests are installed without the pages' sources")
-    text = page.read_text(encoding="utf-8").partition("### The files of `studies/`")[2]
-    section = text.partition("\nKeys decide")[0]
-    files = {path.stem for path in (PACKAGE / "studies").glob("*.py")} - {"__init__"}
-    assert not {name for name in files if f"`{name}`" not in section}, (
-        "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
-    )
-
-
 def test_name_of_a_class_stands_once() -> None:
     """A reader who meets a class by its name, in an error or a type, finds the one that is
     meant.
@@ -343,15 +328,6 @@ def test_type_checking_imports_match_lazy_names() -> None:
     names = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
     names |= {f"pixsim.{module}" for module in pixsim._MODULES.values()}
     assert {f"{node.module}.{alias.name}" for node in block.body for alias in node.names} == names
-
-
-def test_version_is_consistent() -> None:
-    assert pixsim.__version__ == version("pixsim")
-    project = Path(__file__).parents[1] / "pyproject.toml"
-    assert (
-        pixsim.__version__
-        == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
-    )
 
 
 # What the rest of pixsim may take from scene/guard: an inspected scene, and what traces it.

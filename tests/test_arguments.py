@@ -141,10 +141,14 @@ OWN = {
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.
-ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
-    (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")),
-    ("width", "height"),
-) | dict.fromkeys(("pixsim.evaluate", "pixsim.sweep"), ("display",))  # 512 dots are many
+ALWAYS = (
+    {"pixsim.SpectralImage": ("data",)}
+    | dict.fromkeys(
+        (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")),
+        ("width", "height"),
+    )
+    | dict.fromkeys(("pixsim.evaluate", "pixsim.sweep"), ("display",))
+)  # 512 dots are many
 INSTANCES: dict[str, Callable] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "Readout": lambda: READOUT,

@@ -7,6 +7,7 @@ import os
 import re
 from datetime import datetime
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -215,7 +216,7 @@ def test_every_public_name_of_1_0_is_there_or_on_the_page() -> None:
     assert is_lost("pixsim.base.parameters.Axis.no_such_field")
 
 
-def test_citation_and_changelog_state_this_version_and_its_day() -> None:
+def test_project_citation_and_changelog_state_this_version_and_its_day() -> None:
     """Of the newest release; what is "(unreleased)" above it has no day."""
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     newest, day = re.findall(
@@ -223,7 +224,8 @@ def test_citation_and_changelog_state_this_version_and_its_day() -> None:
     )[0]
     versions = re.findall(r"^version: (.+)$", citation, re.MULTILINE)
     versions += re.findall(r"^  version = \{(.+)\},$", text_of(README), re.MULTILINE)
-    assert [*versions, newest] == [pixsim.__version__] * 3
+    versions += re.findall(r'^version = "(.+)"$', text_of(ROOT / "pyproject.toml"), re.MULTILINE)
+    assert [*versions, newest, version("pixsim")] == [pixsim.__version__] * 5
     assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [
         f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"
     ]
@@ -233,3 +235,12 @@ def test_pages_name_files_that_are_there() -> None:
     text = "\n".join(map(text_of, (ROOT / "docs").rglob("*.md")))
     names = re.findall(r"\b(?:tests|pixsim|scenes|docs)/[\w./-]+\.\w+", text)
     assert [name for name in names if not (ROOT / name).exists()] == []
+
+
+def test_architecture_names_each_file_of_studies() -> None:
+    text = text_of(ROOT / "docs/architecture.md").partition("### The files of `studies/`")[2]
+    section = text.partition("\nKeys decide")[0]
+    files = {path.stem for path in (ROOT / "pixsim/studies").glob("*.py")} - {"__init__"}
+    assert not {name for name in files if f"`{name}`" not in section}, (
+        "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
+    )

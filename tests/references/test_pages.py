@@ -1,8 +1,11 @@
-"""Blocks of README, docs/ and notebooks are run; output and pictures must be those that they show.
+"""Blocks of README, docs/ and notebooks, and the examples of docstrings, are run; output and pictures must be those that they show.
 
 On the processor and with the packages of docs/made_on.toml, every digit must agree.
 """
 
+import doctest
+import importlib
+import inspect
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +13,7 @@ from pathlib import Path
 import pytest
 from helpers.documents import ROOT, difference, differs_from_made_on
 from helpers.looks import Elements
+from helpers.public_names import PUBLIC
 from references.notebooks import NOTEBOOKS, executed, outputs
 from references.pages import Page, alike_pictures, first_study
 
@@ -116,6 +120,50 @@ def test_notebook_gives_shown_output(
             assert "script" not in words.tags
         else:
             assert difference(expected.strip(), printed.strip(), exact=False) == "", f"cell {cell}"
+
+
+# Docstrings
+
+# Functions for beginners, and kernels with a published number.
+SHOWN = (
+    *(
+        "load_scene",
+        "render",
+        "evaluate",
+        "study",
+        "Camera",
+        "derive",
+        "make_sensor",
+        "capture",
+        "delta_e_map",
+        "read_exr",
+    ),
+    *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
+    *("compare", "datasheet", "accuracy", "sfr", "lens"),
+    *(
+        "optics.irradiance_factor",
+        "optics.diffraction_otf",
+        "photodiode.collected_charge_e",
+        "pixel.fill_factor_law",
+    ),
+)
+
+
+def test_docstring_examples_pass() -> None:
+    """Their numbers are published values or closed forms."""
+    finder = doctest.DocTestFinder(exclude_empty=True, recurse=False)
+    runner = doctest.DocTestRunner()
+    report: list[str] = []
+    names = set()
+    for name, thing in PUBLIC.items():
+        getter = getattr(thing, "fget", None) or getattr(thing, "func", thing)
+        plain = inspect.unwrap(getattr(getter, "__func__", getter))
+        scope = vars(importlib.import_module(plain.__module__))
+        for example in finder.find(plain, name, globs=dict(scope)):
+            names |= {name} if example.examples else set()
+            runner.run(example, out=report.append)
+    assert runner.failures == 0, "".join(report)
+    assert {f"pixsim.{name}" for name in SHOWN} <= names
 
 
 # The runner itself
