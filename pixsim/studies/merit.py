@@ -293,8 +293,7 @@ def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
 
 THRESHOLDS_DB = (0.0, 6.0, 12.0, 20.0, 30.0, 40.0)  # of the ranges of a pixel's SNR
 _SNR_POINTS = 301
-_SNR_FROM = 0.3  # of the charge at an SNR of 0 dB
-_BEYOND_FULL = 1.5  # of the largest charge
+_DARKEST = 0.3  # of the noise in the dark: -10 dB
 _STEP = 1e-9  # relative, beside a switch
 
 
@@ -331,11 +330,11 @@ def run_snr(result: RunResult) -> SnrCurve | None:
     ranges = tuple(readout_range(readout, threshold_db, time_s) for threshold_db in THRESHOLDS_DB)
 
     largest_e = ranges[0].largest_e
-    lowest_e = _SNR_FROM * (ranges[0].ranges_e or ((largest_e, largest_e),))[0][0]
-    levels_e = np.geomspace(lowest_e, _BEYOND_FULL * largest_e, _SNR_POINTS)
     at_e = [level_e for level_e in switches_of_frame_e(readout, time_s) if level_e < largest_e]
-    beside_e = np.outer([1 - _STEP, 1 + _STEP], [*at_e, largest_e])
+    beside_e = np.outer([1 - _STEP, 1 + _STEP], at_e)
     before_db, after_db = snr_db(charge_e=beside_e)
+    darkest_e = _DARKEST * ranges[0].dark_noise_e
+    levels_e = np.geomspace(darkest_e, (1 - _STEP) * largest_e, _SNR_POINTS)
     charge_e = np.sort(np.append(levels_e, beside_e))
     display = result.settings.display
     cd_per_m2_per_e = None
@@ -350,7 +349,7 @@ def run_snr(result: RunResult) -> SnrCurve | None:
             reading.name: snr_db(charge_e=charge_e, reading=reading.name)
             for reading in readout.readings
         },
-        tuple(zip(at_e, (before_db - after_db).tolist(), strict=False)),
+        tuple(zip(at_e, (before_db - after_db).tolist(), strict=True)),
         ranges,
     )
 

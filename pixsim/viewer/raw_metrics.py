@@ -748,10 +748,7 @@ def _mean_level(frame: ExpectedFrame) -> _MeanLevel:
 
     level_e = np.array(mean_e)
     variance_e2 = variance_of_pixels_e2(frame.readout, mean_e, frame.integration_s)
-    tables = code_tables(frame, level_e)
-    if not tables:
-        return _MeanLevel(share, mean_e, float(variance_e2))
-    moments = code_moments(tables, level_e, variance_e2)
+    moments = code_moments(code_tables(frame, level_e), level_e, variance_e2)
     return _MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
