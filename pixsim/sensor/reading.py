@@ -463,9 +463,6 @@ class Reading:
     photodiode : number of the photodiode; collectors of one share its fixed pattern
     response : light that the collector gets in a frame, over the light of the first one: area, time
         and filter
-    length_share : of its exposure, of the integration time
-    start_share, start_s : its exposure begins after this share of the integration time, and this
-        time
     overflow : whether it reads the overflow capacitor, too
     capacitor_dark_e_per_s : dark current of the capacitor, if it reads it
     gain_spread, column_gain_spread : standard deviation of its gain over pixels and over columns,
@@ -479,9 +476,6 @@ class Reading:
     collector: int
     photodiode: int
     response: float = 1.0
-    length_share: float = 1.0
-    start_share: float = 0.0
-    start_s: float = 0.0
     overflow: bool = False
     capacitor_dark_e_per_s: float = 0.0
     gain_spread: float = 0.0
@@ -579,9 +573,6 @@ def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
                 collector=number,
                 photodiode=diodes.index(diodes[number]),
                 response=collector.response * collector.length_share,
-                length_share=collector.length_share,
-                start_share=collector.start_share,
-                start_s=collector.start_s,
                 overflow=reading.overflow,
                 capacitor_dark_e_per_s=(
                     physics.growth * collector.capacitor_dark_e_per_s if reading.overflow else 0.0
@@ -628,18 +619,14 @@ def _limit_e(
         full collector
     """
     capacity_e = physics.growth * collector.capacity_e
-    held_e = physics.full_well_e + (capacity_e if reading.overflow else 0.0)
+    held_e = physics.full_well_e + capacity_e * reading.overflow
     if reading.limit_e is not None:
         return min(held_e, physics.growth * reading.limit_e)
 
-    gains = [other.conversion_gain_uv_per_e for other in siblings]
-    if reading.conversion_gain_uv_per_e is None or None in gains:
-        return held_e
-    lowest = min(gain for gain in gains if gain is not None)
-    largest_e = physics.full_well_e
-    if any(other.overflow for other in siblings):
-        largest_e += capacity_e
-    return min(held_e, largest_e * lowest / reading.conversion_gain_uv_per_e)
+    gains = [other.conversion_gain_uv_per_e or math.nan for other in siblings]
+    largest_e = physics.full_well_e + capacity_e * any(other.overflow for other in siblings)
+    limit_e = largest_e * min(gains) / (reading.conversion_gain_uv_per_e or math.nan)
+    return held_e if math.isnan(sum(gains)) else min(held_e, limit_e)
 
 
 def _reading_readout(

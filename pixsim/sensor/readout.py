@@ -141,7 +141,7 @@ def metered_motion(
 
     Raises PixsimError for exposures one after another, of which each would see another picture.
     """
-    if any(reading.start_share or reading.start_s for reading in readout.readings):
+    if any(collector.start_share or collector.start_s for collector in readout.merge.model[0]):
         hint = "Use a still scene, or exposures at one time, such as kind = 'split'."
         got = "exposures one after another in light that moves"
         raise invalid("pixel.readout", got, "light that stands still", hint)
@@ -491,7 +491,7 @@ def read_electrons(
     """Return the merged photo-electrons of one frame of a sensor of several readings, (rows,
     columns).
     """
-    return _expose_readings(mean_e, integration_s, sensor, rng).estimate_e.astype(float)
+    return _expose_readings(mean_e, integration_s, sensor, rng)[1].astype(float)
 
 
 def _expose(
@@ -614,26 +614,15 @@ def _read_level(
     return is_full | at_top, int(np.count_nonzero(is_saturating | at_top))
 
 
-@dataclass(frozen=True)
-class Merged:
-    """The readings of a frame, (rows, columns) each: their codes, the merged photo-electrons, and
-    which pixels are full in the last one.
-    """
-
-    dn: list[NDArray[np.int32]]
-    estimate_e: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
-
-
 def _expose_readings(
     mean_e: Array,
     integration_s: float,
     sensor: Sensor,
     rng: np.random.Generator,
     subexposures_e: Sequence[Array] = (),
-) -> Merged:
-    """Return the readings of all pixels, and their merge; of a burst, the sums over its
-    subexposures.
+) -> tuple[dict[str, NDArray[np.int32]], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the codes of all readings by their names, the merged photo-electrons, and which pixels
+    are full in the last reading, (rows, columns) each; of a burst, sums over its subexposures.
 
     subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
     """
@@ -670,7 +659,8 @@ def _expose_readings(
         if count > 1:
             for total, code in zip(total_dn, codes, strict=True):
                 total += code
-    return Merged(total_dn, estimate_e, saturated)
+    names = [reading.name for reading in readout.readings]
+    return dict(zip(names, total_dn, strict=True)), estimate_e, saturated
 
 
 def _read_rows(
@@ -1019,10 +1009,17 @@ def capture_from_rates(
     exposed = sensor if readout is sensor.readout else replace(sensor, readout=readout)
     subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
     if readout.readings:
-        merged = _expose_readings(mean_e, time_s, exposed, rng, subexposures_e)
-        return merged_frame(merged, mean_e, time_s, readout, exposure)
+        readings, estimate_e, saturated = _expose_readings(
+            mean_e, time_s, exposed, rng, subexposures_e
+        )
+        return MergedFrame(
+            **_frame_fields(mean_e, time_s, readout, float(saturated.mean()), saturated),
+            corrected_e=estimate_e,
+            readings=readings,
+            readout=readout,
+        )
     dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)
-    return _frame(dn, fraction, mean_e, time_s, readout, exposure, saturated)
+    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, fraction, saturated))
 
 
 def make_frame(
@@ -1046,7 +1043,8 @@ def make_frame(
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, readout, brightest_e_per_s)
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, readout)
-    return _frame(dn, saturated_fraction, mean_e, time_s, readout, exposure, saturated)
+    readout = readout.at(exposure)
+    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, saturated_fraction, saturated))
 
 
 def _mean_e(
@@ -1067,47 +1065,6 @@ def _mean_e(
     return signal_e_per_s * time_s
 
 
-def _frame(
-    dn: NDArray[np.int32],
-    saturated_fraction: float,
-    mean_e: Array,
-    time_s: float,
-    readout: Readout,
-    exposure: Exposure,
-    saturated: NDArray[np.bool_] | None,
-) -> Frame:
-    readout = readout.at(exposure)
-    dn_per_e = readout.dn_per_e
-    if not dn_per_e < math.inf:
-        raise invalid(
-            "dn_per_e",
-            f"{dn_per_e}",
-            "a finite number",
-            "Use a larger full well, or more electrons per DN.",
-        )
-    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, saturated_fraction, saturated))
-
-
-def merged_frame(
-    merged: Merged, mean_e: Array, time_s: float, readout: Readout, exposure: Exposure
-) -> MergedFrame:
-    """Return the frame of merged readings.
-
-    mean_e : mean photo-electrons of the first collector, (rows, columns)
-    """
-    readout = readout.at(exposure)
-    names = [reading.name for reading in readout.readings]
-    fields = _frame_fields(
-        mean_e, time_s, readout, float(merged.saturated.mean()), merged.saturated
-    )
-    return MergedFrame(
-        **fields,
-        corrected_e=merged.estimate_e,
-        readings=dict(zip(names, merged.dn, strict=True)),
-        readout=readout,
-    )
-
-
 def _frame_fields(
     mean_e: Array,
     time_s: float,
@@ -1115,7 +1072,13 @@ def _frame_fields(
     saturated_fraction: float,
     saturated: NDArray[np.bool_] | None,
 ) -> dict[str, Any]:
-    """Return the fields of a frame beside its codes."""
+    """Return the fields of a frame beside its codes. Raises PixsimError if the gain is infinite.
+
+    readout : in the exposure of the frame
+    """
+    if not readout.dn_per_e < math.inf:
+        hint = "Use a larger full well, or more electrons per DN."
+        raise invalid("dn_per_e", f"{readout.dn_per_e}", "a finite number", hint)
     physics = readout.physics
     return {
         "mean_e": mean_e,
