@@ -74,7 +74,7 @@ def snr_section(curve: SnrCurve | None) -> Section:
     """Return the section of a page on the SNR of several readings; empty without it."""
     blocks: tuple[Block, ...] = ()
     if curve is not None:
-        head = ["SNR\ndB", "range\ndB", "without a gap\ndB", "light\ne⁻", "luminance\ncd/m²"]
+        head = ["SNR from\ndB", "range\ndB", "without a gap\ndB", "light\ne⁻", "luminance\ncd/m²"]
         head = head[: 4 if curve.cd_per_m2_per_e is None else None]
         table = DocumentTable("ranges of the SNR", head, _range_rows(curve), words=(3, 4))
         blocks = (table, Plot(lambda: _snr_plate(curve)))

@@ -620,6 +620,9 @@ def test_a_run_has_the_snr_of_readings_against_charge_and_luminance() -> None:
     assert curve.cd_per_m2_per_e * white_e == pytest.approx(
         result.irradiance.header["luminance_cd_per_m2"]
     )
+    brightest_e = float(result.score.frame.mean_e.max())
+    share = result.statistics[0]["share_of_full_well"]
+    assert share == pytest.approx(brightest_e / curve.ranges[0].largest_e)
     ((switch_e, drop_db),) = curve.switches_e
     beside_db = pixsim.snr_db(sensor_pixel, switch_e / 4 * np.array([1 - 1e-9, 1 + 1e-9]))
     assert drop_db == pytest.approx(-np.diff(beside_db)[0], abs=1e-9)
