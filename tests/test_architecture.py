@@ -80,6 +80,12 @@ def tree(module: str) -> ast.Module:
     return tree_of(FILES[module])
 
 
+@cache
+def nodes(module: str) -> list[ast.AST]:
+    """All nodes of a file of the package."""
+    return list(ast.walk(tree(module)))
+
+
 def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
     """Dotted names that a module imports at run time."""
     return imports_of(tree, FILES, at_top_only)
@@ -152,7 +158,7 @@ def test_technologies_are_loaded_before_pixels_are_derived() -> None:
     calls = (
         (module, node)
         for module in sorted(set(MODULES) - outside)
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
         and node.func.id == "derive"
@@ -186,7 +192,7 @@ def test_functions_between_light_and_score_take_imaging() -> None:
         f"{module}.{node.name}"
         for module in MODULES
         if module.startswith(("viewer.", "studies."))
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.FunctionDef) and len(parts_of(node)) > 2
     } == BUILD_IMAGING
 
@@ -231,7 +237,7 @@ def test_base_has_no_quantity() -> None:
     names = {
         (module, node.id if isinstance(node, ast.Name) else node.arg)
         for module in {name for name in MODULES if name.startswith("base.")} - {"base.units"}
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.Name | ast.arg)
     }
     assert not {name for name in names if unit_of(name[1].lower()) not in ("", "s")}
@@ -281,7 +287,7 @@ def test_names_are_not_reexported_by_modules() -> None:
     reexported = {
         (module, alias.name)
         for module, path in FILES.items()
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.ImportFrom) and path.name != "__init__.py"
         for alias in node.names
         if alias.asname == alias.name
@@ -293,7 +299,7 @@ def test_only_cli_prints_or_exits() -> None:
     printing = {
         module
         for module in MODULES
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute)
         if ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
     }

@@ -621,9 +621,9 @@ MIB = 1 << 20
         ("study", STUDY.format(f"pitch.values_um = [{'5.0,' * 200_000}]"), 0),
         ("study", STUDY.format(f"camera.pixels = '{'1x' * 400_000}'"), 0),
         ("study", STUDY.format(f"a = {'[' * 100_000}"), 0),
-        # Lines of 50 MB.
-        *((kind, "", 50 * MIB) for kind in ("curve", "scene", "zmx", "catalogue", "study")),
-        ("EXR", "v/1\x01\x02\0\0\0", 50 * MIB),
+        # Lines of 20 MB.
+        *((kind, "", 20 * MIB) for kind in ("curve", "scene", "zmx", "catalogue", "study")),
+        ("EXR", "v/1\x01\x02\0\0\0", 20 * MIB),
     ],
     ids=lambda value: value if isinstance(value, str) and len(value) < 20 else "",
 )  # fmt: skip

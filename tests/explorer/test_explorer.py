@@ -146,8 +146,7 @@ def test_cached_light_and_ideal_change_no_bit(answered):
     fresh = with_pictures(sent)["pictures"]
     for values in (
         {"pixel.pitch_um": 50.0},
-        {**CONTROLLED_FIELDS, "camera.f_number": 2.8},
-        {**CONTROLLED_FIELDS, "exposure.gain_db": 0.0},
+        {**CONTROLLED_FIELDS, "camera.f_number": 2.8, "exposure.gain_db": 0.0},
     ):
         answers(
             session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",))

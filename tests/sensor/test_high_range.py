@@ -495,7 +495,8 @@ def evaluated(sensor_pixel: Pixel, wells: float, **over):
     chain = imaging_chain(light, camera, sensor_pixel)
     time_s = wells * 22_000 / chain.white_e_per_s
     exposure = Exposure(integration_s=time_s)
-    return pixsim.evaluate(light, camera, sensor_pixel, exposure, metrics=list(over), seed=1)
+    settings = (camera, sensor_pixel, exposure, pixsim.Display(dots=128))
+    return pixsim.evaluate(light, *settings, metrics=list(over), seed=1)
 
 
 @pytest.mark.parametrize(("kind", "count"), [("split", 1), ("staggered", 0)])
