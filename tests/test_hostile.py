@@ -215,15 +215,11 @@ LIGHT = {
 }
 
 
-def read_edge(path: Path) -> object:
-    return pixsim.edge_response(read_edge_picture(path).data)
-
-
 # Name of a file, its content or what writes it, its readers, words of the message.
 HOSTILE: list[tuple[str, bytes | Callable[[Path], None], tuple[Callable, ...], str | None]] = [
     *(("a.toml", content, TOML_READERS, r"a\.toml") for content in TOMLS.values()),
     *(("a.npz", partial(npz, data=data, **LIGHT), (read_picture,), r"a\.npz") for data in ARRAYS),
-    *(("a.npy", data, (read_edge,), None) for data in ARRAYS),
+    *(("a.npy", data, (lambda path: pixsim.edge_response(read_edge_picture(path).data),), None) for data in ARRAYS),
     ("a.npz", write_lying_npz, (read_edge_picture,), r"a\.npz"),
     ("a.npz", partial(npz, **{f"{n}": b"" for n in range(5000)}), (read_edge_picture,), "5000 members"),
     # A header of LZMA declares the memory that its decoder takes.

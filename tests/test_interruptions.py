@@ -61,12 +61,6 @@ proc = pytest.mark.skipif(
 )
 
 
-def environment_in(folder: Path) -> dict[str, str]:
-    """Variables of a process whose temporary files go to `folder`/tmp."""
-    (folder / "tmp").mkdir(exist_ok=True)
-    return os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
-
-
 def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]:
     """A command, or the lines of a script, as the leader of its own process group, whose temporary
     files go to `folder`/tmp.
@@ -79,9 +73,9 @@ def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]
     if "\n" in line:
         (folder / "script.py").write_text(line, encoding="utf-8")
         words = [sys.executable, "script.py"]
-    return subprocess.Popen(
-        words, cwd=folder, env=environment_in(folder), start_new_session=True, **pipes
-    )
+    (folder / "tmp").mkdir(exist_ok=True)
+    environment = os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen(words, cwd=folder, env=environment, start_new_session=True, **pipes)
 
 
 def takes_signals(pid: int) -> bool:

@@ -134,11 +134,6 @@ def rms(values: np.ndarray) -> float:
 # Kernels
 
 
-def veil_between(z: np.ndarray) -> float:
-    near, far = veil_mtf(z / (2 * np.pi * 40e-3), 40.0) / z
-    return near - far
-
-
 TURNS = np.linspace(-0.5, 0.5, 101, dtype=np.float32)
 KERNELS = [
     # The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
@@ -146,7 +141,9 @@ KERNELS = [
     *(
         Claim(
             f"a veil falls as the cube of the distance, from {z:g}",
-            lambda z=z: veil_between(np.array([z, 1.4 * z])),
+            lambda z=z: np.subtract(
+                *veil_mtf(np.array([z, 1.4 * z]) / (2 * np.pi * 40e-3), 40.0) / [z, 1.4 * z]
+            ),
             integrate.quad(lambda z: special.j0(z) / z**2, z, 1.4 * z, epsabs=1e-12)[0],
             atol=1e-10,
             why="quadrature",

@@ -137,14 +137,6 @@ def decoded(values: np.ndarray) -> np.ndarray:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-def write_palette(path: Path, values: np.ndarray) -> None:
-    Image.fromarray(values).convert("P", palette=Image.Palette.ADAPTIVE).save(path)
-
-
-def write_by_mitsuba(path: Path, values: np.ndarray) -> None:
-    import_mitsuba(variant.choose().variant).Bitmap(np.ascontiguousarray(values)).write(str(path))
-
-
 def write_exr_channels(path: Path, values: np.ndarray) -> None:
     """A grey picture has a channel of depth, too."""
     planes = [values, values] if values.ndim == 2 else np.moveaxis(values, 2, 0)
@@ -154,8 +146,14 @@ def write_exr_channels(path: Path, values: np.ndarray) -> None:
 
 WRITERS: dict[str, Callable[[Path, np.ndarray], None]] = {
     "Pillow": lambda path, values: Image.fromarray(values).save(path),
-    "palette": write_palette,
-    "Mitsuba": write_by_mitsuba,
+    "palette": lambda path, values: (
+        Image.fromarray(values).convert("P", palette=Image.Palette.ADAPTIVE).save(path)
+    ),
+    "Mitsuba": lambda path, values: (
+        import_mitsuba(variant.choose().variant)
+        .Bitmap(np.ascontiguousarray(values))
+        .write(str(path))
+    ),
     "pixsim": write_exr_channels,
 }
 

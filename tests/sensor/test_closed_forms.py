@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.claims import Claim
 from helpers.closed_forms import charge_to_e, constant_diode_charge_e, implicit_charge_e, spice_ff
-from scipy.constants import c as light_speed, e as electron, h as planck, k as boltzmann
+from scipy.constants import e as electron, k as boltzmann
 from scipy.integrate import quad
 from scipy.stats import norm
 
@@ -115,11 +115,6 @@ def readout(*, exposure: Exposure | None = None, **over) -> Readout:
 
 def pixel_035(**options) -> PixelPhysics:
     return derive(Pixel(pitch_um=6.5, **options), T035)
-
-
-def per_joule(qe: float, nm: float) -> float:
-    """Electrons of a joule of light."""
-    return qe * nm * 1e-9 / (planck * light_speed)
 
 
 SPREADS = [

@@ -260,7 +260,7 @@ def test_target_is_seen_from_the_light_that_is_too_dark_to_the_light_that_fills_
         (50.0, {"solve_for": "lux", "threshold": 2.0}, ["on a part of reflectance 1"]),
         (5.0, {}, ["darker than black"]),
         (1e5, {}, ["pixels are full"]),
-        (50.0, {"solve_for": "contrast", "threshold": 1000.0}, ["1000 is not reached at contrast"]),
+        (50.0, {"solve_for": "contrast", "threshold": 100.0}, ["100 is not reached at contrast"]),
     ],
 )
 def test_run_says_by_which_factor_of_its_contrast_a_target_is_seen_or_why_it_is_not(

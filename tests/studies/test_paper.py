@@ -778,13 +778,9 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def sensitivity_study(desk: Path):
-    return pixsim.study(desk / "tiny.toml", desk / "one", config=desk / "sensitivity.toml", jobs=1)
-
-
 @pytest.fixture(scope="module")
 def done(desk: Path):
-    return sensitivity_study(desk)
+    return pixsim.study(desk / "tiny.toml", desk / "one", config=desk / "sensitivity.toml", jobs=1)
 
 
 def case(result, axis: str, value: float | str) -> StudyResult:

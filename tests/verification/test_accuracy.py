@@ -293,11 +293,6 @@ def test_numbers_of_the_table_are_those_of_closed_forms(name: str) -> None:
 # --- Wrong kernels ---
 
 
-def padded(picture, pitch_um, nm, weight, f_number):
-    """Diffraction with black padding."""
-    return diffract(np.pad(picture, 8), pitch_um, nm, weight, f_number)[8:-8, 8:-8]
-
-
 def sampled(rate, sample_um, pitch_um, side_um):
     """Point sampling at the centres of the pixels."""
     places = [
@@ -338,7 +333,11 @@ WRONG = {
         lambda f, nm, n: np.maximum(diffraction_otf(f, nm, n), 1e-300),
     ),
     "0.01 % in N": (*OTF, lambda f, nm, n: diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
-    "black padding": ("optics", "diffract", padded),
+    "black padding": (
+        "optics",
+        "diffract",
+        lambda picture, *light: diffract(np.pad(picture, 8), *light)[8:-8, 8:-8],
+    ),
     "rates in single precision": (
         *PIXELS,
         lambda r, *lengths: integrate_pixels(r.astype(np.float32).astype(float), *lengths),
