@@ -1129,6 +1129,7 @@ def _general_entries(sheet: DataSheet) -> list[Entry]:
     )
     names = {"snr": ("SNR_p", "temporal noise"), "total_snr": ("SNR_total", "total noise")}
     saturation_p = curve.saturation_p
+    limited = "quantisation-limited: codes hide the noise" if sheet.transfer.limited else ""
     passing = (
         "the standard error leaves out the few full readings that pass as valid"
         if sheet.experiment.is_merged
@@ -1158,6 +1159,7 @@ def _general_entries(sheet: DataSheet) -> list[Entry]:
                 threshold_p,
                 true_p,
                 f"{symbol} of the parameters is 1",
+                limited,
             ),
             _general_entry(
                 f"dynamic range, {noise}",
@@ -1166,6 +1168,7 @@ def _general_entries(sheet: DataSheet) -> list[Entry]:
                 _decibel(saturation_p / threshold_p),
                 20 * math.log10(sheet.true_saturation_p / true_p),
                 "saturation / threshold",
+                limited,
             ),
             _general_entry(
                 f"maximum signal-to-noise ratio, {noise}",

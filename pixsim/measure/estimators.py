@@ -260,17 +260,21 @@ class PhotonTransfer:
         return self.saturation_p / self.threshold_p
 
 
-def saturation_index(variance_dn2: Array) -> int:
+def saturation_index(variance_dn2: Array, is_regular: NDArray[np.bool_] | None = None) -> int:
     """Index of the peak of the temporal variance: the saturation of EMVA 1288, section 6.6.
 
     The scan starts at the brightest exposure, as in the standard. It returns the first peak that
-    exceeds the two next dimmer exposures and half of the largest value: beyond saturation the
-    variance is small and irregular. Without such a peak it returns the largest value.
+    exceeds the two next dimmer exposures where it is regular: beyond saturation the variance is
+    small and irregular. Without such a peak it returns the largest value.
+
+    is_regular : (n,) which exposures may be the peak; None for those above half of the largest
     """
     v = variance_dn2
+    if is_regular is None:
+        is_regular = v > v.max() / 2
     for index in range(len(v) - 2, 1, -1):
         is_peak = v[index] >= v[index + 1] and v[index] > max(v[index - 1], v[index - 2])
-        if is_peak and v[index] > v.max() / 2:
+        if is_peak and is_regular[index]:
             return index
     return int(np.argmax(v))
 
@@ -371,10 +375,7 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
     )
 
 
-# Below saturation the output rises to the next exposure by this share of the step before, at
-# least, and by this power of the light: a logarithmic one rises by .05 to .1.
-_MIN_STEP = 0.9
-_MIN_EXPONENT = 0.01
+_MIN_SNR = 0.03  # at saturation, over the largest: switches of readings cost up to 20 dB
 _MAX_BEND = 1.5  # of the steps at both sides of an exposure; at a knee the flatter one is its slope
 
 
@@ -387,7 +388,7 @@ class CharacteristicCurve:
     signal : (n,) mean output minus the dark, DN or electrons
     snr, total_snr : (n,) with temporal noise, and with the spatial deviation in quadrature
     error : (n,) standard error of snr over it
-    saturation_index : of the brightest exposure beyond which the output still rises as before it
+    saturation_index : of the brightest peak of the variance
     """
 
     photons: Array
@@ -411,7 +412,8 @@ class CharacteristicCurve:
         snr : (n,), one of the two
         """
         error = float(self.error[int(np.argmax(snr >= 1))])
-        return exposure_at_snr(self.photons, snr, np.ones_like(snr), 1.0, error)
+        value = exposure_at_snr(self.photons, snr, np.ones_like(snr), 1.0, 0.0).value
+        return Estimate(value, value * error)  # noise of both neighbours is in the slope between
 
     def largest(self, snr: Array) -> Estimate:
         """Largest ratio up to saturation."""
@@ -427,12 +429,8 @@ def characteristic_curve(
     row_noise : for the standard errors
     """
     photons, mean, variance, frame_variance = (values[1:] for values in output)
-    signal = mean - output.mean_dn[0]
-    steps = np.diff(mean) / np.diff(photons)
-    still_rises = steps[1:] > _MIN_STEP * steps[:-1]
-    still_rises &= steps[1:] * photons[1:-1] > _MIN_EXPONENT * signal[1:-1]
-
     slope = np.gradient(mean, photons)
+    steps = np.diff(mean) / np.diff(photons)
     flatter = np.minimum(steps[1:], steps[:-1])
     is_knee = np.maximum(steps[1:], steps[:-1]) > _MAX_BEND * flatter
     slope[1:-1][is_knee] = flatter[is_knee]
@@ -448,11 +446,11 @@ def characteristic_curve(
     snr = ratio(variance)
     return CharacteristicCurve(
         photons=photons,
-        signal=signal,
+        signal=mean - output.mean_dn[0],
         snr=snr,
         total_snr=ratio(frame_variance),
         error=np.hypot(slope_error, noise_error),
-        saturation_index=1 + int(np.flatnonzero(still_rises).max(initial=0)),
+        saturation_index=saturation_index(variance, snr > _MIN_SNR * snr.max()),
     )
 
 

@@ -395,9 +395,9 @@ def test_general_sheet_of_a_linear_sensor_has_the_linear_numbers() -> None:
         ("μ_p.sat.general", "μ_p.sat", 1e-4),
         ("μ_p.min.SNR_p", "μ_p.min", 3e-3),
         ("DR.SNR_p", "DR", 3e-4),
-        ("SNR_p.max", "SNR_max", 3e-3),
+        ("SNR_p.max", "SNR_max", 6e-3),
     ):
-        why = "the shot noise of the threshold, and the exposure nearest to saturation"
+        why = "the shot noise of the threshold; SNR_max leaves out the dark noise"
         check(symbol, lines[symbol].true, lines[of_linear].true, rtol=rtol, why=why)
         error = 4.5 * math.hypot(lines[symbol].standard_error, lines[of_linear].standard_error)
         measured = lines[symbol].measured
