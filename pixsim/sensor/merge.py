@@ -473,10 +473,10 @@ def line_variance_e2(
         weights = mean_weights(readout, level_e / count, integration_s / count)
         return _sum_shared_e2(weights * offsets_e[:, None], sources)
 
-    return _by_level(at, signal_e)
+    return by_level(at, signal_e)
 
 
-def _by_level(function: Callable[[Array], Array], signal_e: Array | float) -> Array:
+def by_level(function: Callable[[Array], Array], signal_e: Array | float) -> Array:
     """Return a function of levels (n,) at signals (...); of many, interpolated in a table."""
     signal = np.maximum(np.asarray(signal_e, float), 0.0)
     level_e = signal.ravel()
@@ -511,7 +511,7 @@ def merged_variance_e2(
             return np.asarray(variance_e2)
         return variance_e2 + fixed_pattern_e2(readout, level_e, integration_s, moments.weights)
 
-    return _by_level(at, signal_e)
+    return by_level(at, signal_e)
 
 
 def estimated_variance_e2(
