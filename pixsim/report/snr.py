@@ -7,15 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from pixsim.base.arrays import Array
 from pixsim.base.digits import rounded
+from pixsim.report.panels import Line, LinePanel, draw_panels
 from pixsim.show.document import Block, DocumentTable, Plot, Section
-from pixsim.show.figures import LEGEND_LINE, LINE_STYLES, finish, literal, new_figure
+from pixsim.show.figures import literal
 from pixsim.show.pages import Drawing, figure
 from pixsim.studies.merit import SnrCurve
 
 SNR = "snr_against_light"  # name of the figure
 _LOWEST_DB = -10.0
+_BEHIND = {"marker": "", "ls": "-", "lw": 3.5, "color": "0.8", "zorder": 1}
+_TOP = 0.86  # of the axes, below the names of another one
 
 
 @figure(
@@ -25,31 +27,29 @@ _LOWEST_DB = -10.0
 )
 def _snr_plate(curve: SnrCurve) -> Drawing:
     """Draw the SNR of readings and of their merge against charge and luminance."""
-    drawing = new_figure(8.6, 4.2)
-    axes = drawing.subplots()
-    axes.set_xscale("log")
     factor = curve.cd_per_m2_per_e
-    table: dict[str, Array] = {"charge_e": curve.charge_e}
+    columns = {"merged": curve.merged_db, **curve.readings_db}
+    table = {"charge_e": curve.charge_e}
     if factor is not None:
         table["luminance_cd_per_m2"] = factor * curve.charge_e
+    table |= {f"{name}_db": snr_db for name, snr_db in columns.items()}
+
+    lines = [
+        Line("charge_e", f"{name}_db", f"reading {literal(name)}") for name in curve.readings_db
+    ]
+    lines.append(Line("charge_e", "merged_db", "merged", _BEHIND))
+    marks = {
+        f"switch at {rounded(charge_e, 3)} e⁻: −{rounded(drop_db, 2)} dB": charge_e
+        for charge_e, drop_db in curve.switches_e
+    }
+    axes = {"xscale": "log", "ylim": (_LOWEST_DB, None)}
+    light = "light in a frame (e⁻ of the first collector)"
+    drawing, _ = draw_panels(table, [LinePanel(light, "SNR (dB)", lines, marks, axes)])
+    if factor is not None:
         scales = partial(np.multiply, factor), partial(np.multiply, 1 / factor)
-        axes.secondary_xaxis("top", functions=scales).set_xlabel("luminance on axis (cd/m²)")
-    table["merged_db"] = curve.merged_db
-    table |= {f"{name}_db": snr_db for name, snr_db in curve.readings_db.items()}
-
-    axes.plot(curve.charge_e, curve.merged_db, lw=3.5, color="0.8", label="merged")
-    names = list(curve.readings_db)
-    for name, line_style in zip(names, LINE_STYLES, strict=False):
-        label = f"reading {literal(name)}"
-        axes.plot(curve.charge_e, curve.readings_db[name], lw=1.4, label=label, **line_style.stroke)
-    for (charge_e, drop_db), line_style in zip(
-        curve.switches_e, LINE_STYLES[len(names) :], strict=False
-    ):
-        label = f"switch at {rounded(charge_e, 3)} e⁻: −{rounded(drop_db, 2)} dB"
-        axes.axvline(charge_e, lw=0.9, label=label, **line_style.stroke)
-
-    axes.set_ylim(_LOWEST_DB)
-    finish(axes, "light in a frame (e⁻ of the first collector)", "SNR (dB)", "best", LEGEND_LINE)
+        above = drawing.axes[0].secondary_xaxis("top", functions=scales)
+        above.set_xlabel("luminance on axis (cd/m²)")
+        drawing.subplots_adjust(top=_TOP)
     return drawing, table
 
 
