@@ -39,7 +39,7 @@ from pixsim.base.locks import LOCK, UNFINISHED, temporary_folder, unfinished
 from pixsim.report.commands.study import reported_saved_rows
 from pixsim.studies.table import COLUMNS, Store
 
-SMALL = "--resolution 64 --display.dots 64"
+SMALL = "--resolution 48 --display.dots 48"
 EDGE = 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128)))
 LINES = {
     "run": f"run csf {SMALL} --out out",

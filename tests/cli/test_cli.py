@@ -28,7 +28,7 @@ RUN_FILES = {
     "settings.toml", "pixsim.json",
     "report.html",
 }  # fmt: skip
-SMALL = "--resolution 64 --display.dots 64"
+SMALL = "--resolution 48 --display.dots 48"
 SHEET = (
     "[pixel]\npitch_um = 4\nfull_well_e = 12000\nread_noise_e = 2.5\ndark_current_e_per_s ="
     " 8\nquantum_efficiency = 0.6\n"
