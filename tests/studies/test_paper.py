@@ -4,6 +4,7 @@ what another study over it, whose axes are moved alone, does to these statements
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -567,6 +568,9 @@ def evidence(
     return Evidence(lit(ONE_LINE, 10.0, np.ones(1), maps=sensor_maps), curves)
 
 
+reference = cache(evidence)
+
+
 # 5 to 73 % of 5.3 to 15 µm are areas as pitch^4.6, not the pitch^1 that √pitch would take.
 GROWTH = {"DR grows roughly as √pitch", "SNR at 20 % well grows roughly as √pitch"}
 OPTIMUM, ITS_FILL_FACTOR = "Optimal pixel size at 0.35 µm", "Its fill factor"
@@ -654,10 +658,9 @@ def test_findings_contrary_evidence_flips_one_row(change: dict, against: set[str
 def test_findings_of_another_optimum(
     technology: str, change: dict, statement: str, agrees: bool
 ) -> None:
-    reference = evidence()
-    curve = reference.curves[technology]
+    curve = reference().curves[technology]
     other = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, **change)))
-    rows = table(Evidence(reference.result, reference.curves | {technology: other}))
+    rows = table(Evidence(reference().result, reference().curves | {technology: other}))
     assert rows[statement].agrees is agrees
 
 
@@ -665,7 +668,7 @@ def test_findings_numbers_are_the_evidence() -> None:
     """The law's fill factor of 31.0 %; the middles of the six bins are (100/3)^(1/12) to
     (100/3)^(11/12) lp/mm, and the thresholds above cross between 3 and 4.
     """
-    rows = table(evidence())
+    rows = table(reference())
     assert {name: rows[name].found for name in (ITS_FILL_FACTOR, SLOWER, CROSS)} == {
         ITS_FILL_FACTOR: "31 %",
         SLOWER: "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm",
@@ -715,9 +718,8 @@ def test_rise_verdicts(
 )
 def test_findings_follow_study_process(size: str, settings: dict, percent: float) -> None:
     """Half of the fill factor, and another law, as printed to 0.1 %."""
-    reference = evidence()
     study = Study.model_validate({"name": "known", "iso_delta_e": ISO} | settings)
-    data = Evidence(replace(reference.result, study=study), reference.curves)
+    data = Evidence(replace(reference().result, study=study), reference().curves)
     row = table(data)[f"Fill factor at {size} µm"]
     assert float(row.found.removesuffix("%")) == pytest.approx(percent, abs=0.06)
     assert not row.agrees
