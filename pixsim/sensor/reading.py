@@ -335,7 +335,11 @@ class Readout:
 
     @property
     def rounding_variance_dn2(self) -> float:
-        """Variance of a frame by the rounding of each exposure, LSB²/12."""
+        """Variance of a frame by the rounding of each exposure, LSB²/12; of companded codes, in the
+        dark.
+        """
+        if self.adc.knees is not None:
+            return float(np.asarray(self.adc.rounding_e2(np.zeros(()), 1.0)))
         return self.exposures / 12
 
     @property

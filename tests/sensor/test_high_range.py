@@ -208,6 +208,14 @@ COMPANDING = [
 LEVELS_E = np.array([100.0, 1000.0, 10_000.0])
 COMPANDING += [
     Claim(
+        "codes of 4 linear DN in the dark",
+        lambda: (
+            Readout.of(derive(pixel(None, companding=[[0, 0], [4000, 1000]]))).rounding_variance_dn2
+        ),
+        16 / 12,
+        rtol=1e-12,
+    ),
+    Claim(
         "contrast detection of 10 % with 2 e- of read noise",
         lambda: pixsim.metrics.contrast_detection_probability(
             LEVELS_E, 0.1, np.sqrt(LEVELS_E + 4), np.sqrt(1.1 * LEVELS_E + 4)
@@ -215,7 +223,7 @@ COMPANDING += [
         [0.2533, 0.7009, 0.9990],
         atol=5e-5,
         why=LAST_DIGIT,
-    )
+    ),
 ]
 
 
