@@ -659,21 +659,26 @@ def _reading_readout(
     physics = replace(physics, full_well_e=limit_e, reset_noise_e=reset_e)
 
     adc = readout.adc
+    changes: dict[str, Any] = {}
     if adc.gain_e_per_dn is None:
-        adc = replace(adc, span_e=readout._pixels * limit_e)
+        changes["span_e"] = readout._pixels * limit_e
     elif gain_uv_per_e is not None and first.conversion_gain_uv_per_e is not None:
         ratio = first.conversion_gain_uv_per_e / gain_uv_per_e
-        adc = replace(adc, gain_e_per_dn=adc.gain_e_per_dn * ratio)
-    bits = adc.bits if reading.bits is None else reading.bits
-    adc = replace(adc, bits=bits)
+        changes["gain_e_per_dn"] = adc.gain_e_per_dn * ratio
+    if reading.bits is not None:
+        changes["bits"] = reading.bits
     if reading.black_level_dn is not None:
-        adc = replace(adc, black_level_dn=reading.black_level_dn)
         stated = {"black_level_dn": reading.black_level_dn}
+        changes |= stated
         physics = replace(physics, pixel=physics.pixel.model_copy(update=stated))
 
     before_e, after_e = readout.read_noise_e, readout.read_noise_after_gain_e
     if reading.read_noise_e is not None:
         before_e, after_e = reading.read_noise_e, 0.0
     return replace(
-        readout, physics=physics, adc=adc, read_noise_e=before_e, read_noise_after_gain_e=after_e
+        readout,
+        physics=physics,
+        adc=replace(adc, **changes),
+        read_noise_e=before_e,
+        read_noise_after_gain_e=after_e,
     )._with_black_level()

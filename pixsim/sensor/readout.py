@@ -642,18 +642,16 @@ def _expose_readings(
         dn = [code[rows] for code in codes]
         estimate_e[rows] += merged_e(readout, charges_of_codes_e(readout, dn), time_s)
 
-    def expose(block: slice, rng: np.random.Generator, photo_e: Array, scale: float) -> None:
+    def expose(block: slice, rng: np.random.Generator, photo_e: Array) -> None:
         for part in strips(block.stop - block.start, columns):
             rows = slice(block.start + part.start, block.start + part.stop)
             dn = [code[rows] for code in codes]
-            saturated[rows] |= _read_rows(scale * photo_e[rows], time_s, sensor, rows, rng, dn)
+            saturated[rows] |= _read_rows(photo_e[rows], time_s, sensor, rows, rng, dn)
             if is_by_rows:
                 merge(rows)
 
-    for number in range(count):
-        photo_e = subexposures_e[number] if subexposures_e else mean_e
-        scale = 1.0 if subexposures_e else 1 / count
-        _by_block(partial(expose, photo_e=photo_e, scale=scale), mean_e.shape, rng)
+    for photo_e in subexposures_e or [mean_e if count == 1 else mean_e / count] * count:
+        _by_block(partial(expose, photo_e=photo_e), mean_e.shape, rng)
         if not is_by_rows:
             merge(slice(None))
         if count > 1:
