@@ -111,7 +111,7 @@ LEVELS = [
         )
         for merge, db in (("max_likelihood", merged_db), ("select", long_db))
     ),
-    Level("160 µV/e- at 1000 e-", overflow(10), 1000, "high", 30.0, 1),
+    Level("160 µV/e- at 1000 e-", overflow(10), 1000, "high", 30.0),
     Level("10 µV/e- at 1000 e-", overflow(10), 1000, "low", 24.45),
     Level("40 µV/e- at 1000 e-", overflow(40), 1000, "low", 27.84),
     Level("160 µV/e- at 5000 e-", overflow(10, 5000), 5000, "high", 36.99),

@@ -23,6 +23,7 @@ The gates fail for another gain, a new fixed pattern in each frame, and a clippe
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -154,8 +155,8 @@ def judged(case: Case) -> tuple[Experiment, dict[str, float]]:
 
 
 def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
-    """A row for each pixel and quantity."""
-    table = []
+    """A row for each pixel and quantity, and for each reading of pixels that have several."""
+    table = reading_rows() if cases is CASES else []
     for case in cases:
         e, results = judged(case)
         name = f"{case[0]}, {case[1]:g} µm, {case[2]} bits"
@@ -182,6 +183,21 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
                 abs(off) <= 1,
             )
         )
+    return table
+
+
+def reading_rows() -> list[dict[str, object]]:
+    """A row for each reading and quantity."""
+    table = []
+    for readout, number in itertools.product(READOUTS, (0, 1)):
+        experiment = of_reading(readout, number)
+        results = package_results(experiment)
+        for quantity, true in truths(experiment).items():
+            off = results[quantity] / true - 1
+            gate = f"within {100 * GATES[quantity]:g} % of the parameters"
+            judge = f"{quantity} of a reading: {readout['kind']}, {number}"
+            measured = f"{100 * off:+.2f} %"
+            table.append(verdict(STANDARD, judge, gate, measured, abs(off) <= GATES[quantity]))
     return table
 
 
@@ -352,27 +368,21 @@ def of_reading(readout: dict[str, Any], number: int) -> OfReading:
     return OfReading(**parts, number=number)
 
 
+READOUTS = [
+    {"kind": "dual_gain", "conversion_gain_uv_per_e": [160, 40], "read_noise_e": [3, 9]},
+    {"kind": "split", "response": [1, 0.02], "full_well_e": [20_000, 9000], "read_noise_e": [3, 5]},
+    {"kind": "staggered", "ratio": 8.0},
+    {
+        "kind": "overflow",
+        "conversion_gain_uv_per_e": [160, 20],
+        "capacity_e": 60_000,
+        "read_noise_e": [3, 10],
+    },
+]
+
+
 @pytest.mark.parametrize("number", [0, 1])
-@pytest.mark.parametrize(
-    "readout",
-    [
-        {"kind": "dual_gain", "conversion_gain_uv_per_e": [160, 40], "read_noise_e": [3, 9]},
-        {
-            "kind": "split",
-            "response": [1, 0.02],
-            "full_well_e": [20_000, 9000],
-            "read_noise_e": [3, 5],
-        },
-        {"kind": "staggered", "ratio": 8.0},
-        {
-            "kind": "overflow",
-            "conversion_gain_uv_per_e": [160, 20],
-            "capacity_e": 60_000,
-            "read_noise_e": [3, 10],
-        },
-    ],
-    ids=lambda readout: readout["kind"],
-)
+@pytest.mark.parametrize("readout", READOUTS, ids=lambda readout: readout["kind"])
 def test_package_measures_each_reading(readout: dict[str, Any], number: int) -> None:
     """K, QE, σ_d, DSNU and PRNU are those of the reading and its photodiode; saturation is its
     limit.
