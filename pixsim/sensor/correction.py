@@ -337,17 +337,17 @@ def _merged_residual_e2(
     def weights(level_e: Array) -> Array:
         return mean_weights(readout, level_e / count, integration_s / count)
 
-    of_dark = weights(np.zeros(1)) if correction.dark_frames else 0.0
-    of_flat = weights(np.array([flat_e])) if correction.flat_frames else of_dark
+    dark_weights = weights(np.zeros(1)) if correction.dark_frames else 0.0
+    flat_weights = weights(np.array([flat_e])) if correction.flat_frames else dark_weights
 
     def offsets_e2(level_e: Array) -> Array:
-        left = weights(level_e) - of_dark - level_e / flat_e * (of_flat - of_dark)
+        left = weights(level_e) - dark_weights - level_e / flat_e * (flat_weights - dark_weights)
         return fixed_pattern_e2(readout, 0.0 * level_e, integration_s, left)
 
     def gain_e2(level_e: Array) -> Array:
         left = weights(level_e)
         if correction.flat_frames:
-            left = left - of_flat
+            left = left - flat_weights
         both_e2 = fixed_pattern_e2(readout, level_e, integration_s, left)
         return both_e2 - fixed_pattern_e2(readout, 0.0 * level_e, integration_s, left)
 

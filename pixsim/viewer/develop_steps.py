@@ -49,6 +49,7 @@ from pixsim.viewer.demosaic import (
 )
 from pixsim.viewer.denoising import wiener
 from pixsim.viewer.denoising.filters import denoised_plane
+from pixsim.viewer.denoising.variance_table import VarianceTable
 from pixsim.viewer.develop import balance, demosaic_method
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import fits_single, relative_to_white
@@ -57,6 +58,9 @@ from pixsim.viewer.sharpening import unsharp_mask, unsharp_products
 from pixsim.viewer.tone import toned
 
 SATURATED = 0.99  # of the saturation level
+_NOISE_LEVELS = 1024  # of a table of the noise of merged readings
+_NOISE_SIGMAS = 6.0  # by which it exceeds a picture
+_DARKEST_E = 1e-2  # its first level above 0
 _MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 
 
@@ -421,15 +425,39 @@ def _denoise(picture: Array, raw: UndevelopedFrame) -> Array:
         return picture
 
     assert develop.denoise != "none"
-    gaussian_e2 = white_noise_e2(raw.readout, frame.integration_s, raw.imaging.correction)
+    # Shot noise is that of light and dark charge together.
+    dark_e = frame.mean_dark_e
+    noise: float | VarianceTable = white_noise_e2(
+        raw.readout, frame.integration_s, raw.imaging.correction
+    )
+    if raw.readout.readings:
+        dark_e = 0.0
+        noise = _noise_of_merge(picture, raw)
     for plane in planes:
-        # Shot noise is that of light and dark charge together.
-        charge_e = plane + frame.mean_dark_e
         filtered_e = denoised_plane(
-            charge_e, gaussian_e2, develop.denoise, develop.denoise_strength
+            plane + dark_e, noise, develop.denoise, develop.denoise_strength
         )
-        plane[...] = filtered_e - frame.mean_dark_e
+        plane[...] = filtered_e - dark_e
     return picture
+
+
+def _noise_of_merge(picture: Array, raw: UndevelopedFrame) -> VarianceTable:
+    """Return the temporal noise of merged readings at the levels of a picture."""
+    correction = raw.imaging.correction
+    time_s = raw.frame.integration_s
+
+    def temporal_e2(level_e: Array) -> Array:
+        return np.asarray(residual_variance_e2(level_e, time_s, raw.readout, correction).temporal)
+
+    ends_e = np.array([0.0, max(float(picture.max()), 1.0)])
+    margins_e = _NOISE_SIGMAS * np.sqrt(temporal_e2(ends_e))
+    below_e = min(float(picture.min()), 0.0) - margins_e[0]
+    above_e = ends_e[1] + margins_e[1]
+    level_e = np.append(
+        np.linspace(below_e, 0.0, _NOISE_LEVELS // 8),
+        np.geomspace(_DARKEST_E, above_e, _NOISE_LEVELS),
+    )
+    return VarianceTable(level_e, temporal_e2(np.maximum(level_e, 0.0)))
 
 
 def _white_balance(picture: Array, raw: UndevelopedFrame) -> Array:

@@ -39,6 +39,7 @@ from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MergedFrame, capture_from_rates, sample_sensor
 from pixsim.studies.merit import run_snr
+from pixsim.viewer.denoising.variance_table import VarianceTable
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.noise_budget import noise_budget
@@ -323,6 +324,41 @@ def test_frames_have_mean_and_variance_of_the_closed_form(kind: str, merge: str)
         row_means = (estimate_e.mean(axis=1) - expected_e) / (sigma_e / math.sqrt(SHAPE[1]))
         low, high = chi2.ppf([0.001, 0.999], SHAPE[0])
         assert low < (row_means**2).sum() < high
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_of_merged_readings_becomes_white_and_its_mean_comes_back(kind: str) -> None:
+    """Before and beyond the switches, whose mixtures of two readings have no such transform."""
+    options, levels = KINDS[kind]
+    sensor_pixel = pixel(options | {"validity_sigmas": 6}, **DARK)
+    readout = Readout.of(derive(sensor_pixel))
+    for level_e in (levels[1] if kind != "three" else levels[0], levels[-1]):
+        estimate_e = frame_of(sensor_pixel, level_e).estimate_e.astype(float)
+        table_e = level_e + estimate_e.std() * np.linspace(-8, 8, 1001)
+        table = VarianceTable(table_e, level_variance_e2(readout, table_e, TIME_S))
+        values = table.forward(estimate_e)
+        assert values.var() == pytest.approx(1, rel=0.02), level_e
+        error_e = 4 * estimate_e.std() / math.sqrt(estimate_e.size)
+        assert float(table.inverse(values.mean())) == pytest.approx(level_e, abs=error_e)
+
+
+@pytest.mark.parametrize("method", ["nlm", "wavelet"])
+def test_denoising_takes_the_noise_of_the_reading(method: str) -> None:
+    """Of uniform light beyond a switch that costs 20 dB it leaves a third of the noise at most."""
+    light = flat_light(300_000 / unit_e_of(pixel(SPLIT))[0])
+    display = pixsim.Display(white_cd_per_m2=1e6)
+    noisy, denoised = (
+        pixsim.evaluate(
+            light,
+            FLAT_CAMERA,
+            pixel(SPLIT, black_level_dn=64),
+            TIMED,
+            display=display,
+            develop=pixsim.Develop(denoise=denoise),
+        )
+        for denoise in ("none", method)
+    )
+    assert denoised.image.std() < noisy.image.std() / 3
 
 
 def flat_light(level: float, disc: float = 0.0) -> pixsim.SpectralImage:
