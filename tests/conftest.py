@@ -32,7 +32,6 @@ from helpers.tiny import WHOLE_CHART, tiny
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.locks import UNFINISHED
-from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.development import Development
@@ -158,20 +157,20 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 
 
 @pytest.fixture
-def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[pixsim.Frame]:
     """Frames scored in this process so far, without those of the small light; none of them measures
     a film that is coarse.
     """
-    frames: list[Frame] = []
-    of_small_light: list[Frame] = []
+    frames: list[pixsim.Frame] = []
+    of_small_light: list[pixsim.Frame] = []
     capture, view = ImagingChain.capture, Development.score
 
-    def captured(chain: ImagingChain, *key: object, **more) -> Frame:
+    def captured(chain: ImagingChain, *key: object, **more) -> pixsim.Frame:
         frame = capture(chain, *key, **more)
         of_small_light.extend([frame] * (key == STREAM))
         return frame
 
-    def scored(development: Development, frame: Frame) -> FrameScore:
+    def scored(development: Development, frame: pixsim.Frame) -> FrameScore:
         frames.extend([frame] * all(frame is not other for other in of_small_light))
         return view(development, frame)
 

@@ -183,7 +183,11 @@ leave(3)
 """
 
 
-@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP"])
+# one handler takes them all
+@pytest.mark.parametrize(
+    "number",
+    ["SIGTERM", *(pytest.param(name, marks=pytest.mark.slow) for name in ("SIGINT", "SIGHUP"))],
+)
 def test_signal_after_the_command_keeps_its_exit_code(number: str, tmp_path: Path) -> None:
     """Python clears its modules after it has taken away its handlers: a signal ended the process
     then, with everything written.
@@ -285,7 +289,8 @@ cli.command()
 @pytest.mark.parametrize(
     ("way", "number"),
     [
-        ("imports", signal.SIGINT),
+        # an import that drops it is one of the functions that do
+        pytest.param("imports", signal.SIGINT, marks=pytest.mark.slow),
         ("turns", signal.SIGTERM),
         ("drops", signal.SIGINT),
     ],  # one handler takes both signals

@@ -31,7 +31,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.locks import UNFINISHED
 from pixsim.explorer import exploring, server
 from pixsim.explorer.controls import controls_of, presets_of
@@ -239,7 +238,7 @@ def test_controls_of_a_scene_follow_its_parameters(scene, path):
     ],
 )
 def test_page_names_no_files_and_no_impossible_values(values, word):
-    with pytest.raises(PixsimError, match=word):
+    with pytest.raises(pixsim.PixsimError, match=word):
         Session("csf", (), SMALL).answer(PageRequest(1, ((0, values),)))
 
 

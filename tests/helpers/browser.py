@@ -1,6 +1,4 @@
-"""Pages as headless Chromium shows and prints them; tests that need it are skipped if it is
-missing.
-"""
+"""A page in headless Chromium; tests that need it are skipped if it is missing."""
 
 import json
 import os
@@ -11,13 +9,9 @@ import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
 from helpers.processes import HANG_S
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-needs_browser = pytest.mark.skipif(
-    BROWSER is None, reason="neither chromium nor google-chrome is on PATH"
-)
 AXE_TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 AXE = Path(__file__).parents[1] / "data/axe/axe.min.js"  # what keyboards and screen readers need
 MIN_TEXT_PX = 12

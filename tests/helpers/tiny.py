@@ -5,7 +5,6 @@ import json
 from pathlib import Path
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
 from pixsim.studies.design import Case
 from pixsim.studies.evaluate import RenderedCase, rendered_cases
 from pixsim.studies.lights import Light
@@ -69,7 +68,7 @@ def keys(folder: Path) -> list[str]:
 
 
 def lit_sensors(
-    study: pixsim.Study, image: SpectralImage, camera: pixsim.Camera
+    study: pixsim.Study, image: pixsim.SpectralImage, camera: pixsim.Camera
 ) -> list[RenderedCase]:
     """The sensors of a study without axes in a light."""
     cases = list(cases_of_sensors(Case(study, resolved=(image, camera))))

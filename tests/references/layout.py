@@ -15,6 +15,9 @@ import pytest
 from helpers.browser import AXE, AXE_TAGS, BROWSER, DISABLED, FLAGS, MIN_TEXT_PX
 from helpers.processes import HANG_S
 
+needs_browser = pytest.mark.skipif(
+    BROWSER is None, reason="neither chromium nor google-chrome is on PATH"
+)
 LOOKS = (
     (400, "light"),
     (1280, "light"),

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 from helpers.answers import COMMANDS, Answer, answers_in
-from helpers.browser import needs_browser
-from references.layout import assert_fit, assert_prints, assert_sliders_move
+from references.layout import assert_fit, assert_prints, assert_sliders_move, needs_browser
 
 # A browser, in `.ci/run`; the golden documents have the pages' content.
 pytestmark = [pytest.mark.slow, needs_browser]

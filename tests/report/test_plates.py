@@ -25,7 +25,6 @@ from helpers.tiny import PITCHES_UM, TINY, tiny
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
 from pixsim.report import maps
 from pixsim.report.curve import delta_e_against_pitch
 from pixsim.report.paper import figure_6
@@ -196,7 +195,7 @@ def test_picture_axes_of_the_chart_are_frequencies_and_contrasts(die_mm: float) 
     """The chart runs from f0 = 1 to f1 = 33.3 lp/mm over its 2.7136 mm, x/width = ln(f/f0)/ln(f1/f0),
     and from a hundredth of its largest contrast of 0.951 at equal ratios.
     """
-    light = SpectralImage(
+    light = pixsim.SpectralImage(
         [550.0], [10.0], 1e3 * die_mm / 64, data=np.ones((64, 64, 1)), header={"scene": "csf.xml"}
     )
     axes = picture_axes(light)

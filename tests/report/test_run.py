@@ -20,7 +20,6 @@ from helpers.sheets import two_sheets
 from helpers.tiny import rows
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.schema import SCHEMA
 from pixsim.light.exr import write_channels
 from pixsim.measure.lens import lens_data
@@ -326,7 +325,7 @@ def test_file_that_pixsim_did_not_write_is_not_replaced(
 
 
 def test_pictures_are_written_to_no_pdf(tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match="figures: got 'pdf' for a RunResult"):
+    with pytest.raises(pixsim.PixsimError, match="figures: got 'pdf' for a RunResult"):
         pixsim.write_report(run_result([1.0], {}), tmp_path, figures="pdf")
 
 

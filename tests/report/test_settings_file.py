@@ -24,7 +24,6 @@ from pixsim.report.templates import json_schema, template
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.pixel_options import DATA_SHEET
-from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
 SHEET = """
@@ -182,7 +181,7 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     assert (same / "raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
 
 
-RECORDS = {"sensor": Run, "study": Study}
+RECORDS = {"sensor": Run, "study": pixsim.Study}
 
 
 def uncommented(text: str) -> dict:
@@ -217,7 +216,7 @@ def test_template_has_every_field_and_is_valid(kind: str) -> None:
 def test_template_shows_defaults_of_record() -> None:
     """A commented field shows the default of its record."""
     table = uncommented(template("study"))
-    defaults = Study(name="x").model_dump(mode="json")
+    defaults = pixsim.Study(name="x").model_dump(mode="json")
     for name in ("seed", "max_repeats", "iso_delta_e", "paper"):
         assert table[name] == defaults[name], name
     for name in ("gamma", "dots"):

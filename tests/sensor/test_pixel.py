@@ -13,7 +13,6 @@ import pixsim
 from pixsim.base.errors import MAX_LABEL, PixsimError
 from pixsim.base.toml import packaged, read_toml
 from pixsim.light.spectral import VISIBLE, WIDEST, SpectralImage, Spectrum
-from pixsim.optics.camera import Camera
 from pixsim.optics.lens_defocus import DEPTHS
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.colour_options import PATTERNS, channels_of
@@ -414,7 +413,11 @@ def test_share_beyond_a_table_is_that_of_its_last_value(
     """There is a note where it is more than 1 %."""
     (curve,) = tables_of(physics).values()
     check("share", share_beyond(curve, image, physics), share, atol=1e-7, why="float32 of light")
-    notes = [note for note in pixel_notes(physics, Camera(die_mm=0.04), image) if "ends at" in note]
+    notes = [
+        note
+        for note in pixel_notes(physics, pixsim.Camera(die_mm=0.04), image)
+        if "ends at" in note
+    ]
     assert len(notes) == (share > 0.01)
 
 
@@ -440,7 +443,9 @@ def test_share_beyond_a_table_is_that_of_its_last_value(
 def test_notes_appear_when_they_should(
     physics: PixelPhysics, image: SpectralImage, words: str
 ) -> None:
-    notes = pixel_notes(physics, Camera(die_mm=0.04, object_distance_m=1e3, f_number=1.0), image)
+    notes = pixel_notes(
+        physics, pixsim.Camera(die_mm=0.04, object_distance_m=1e3, f_number=1.0), image
+    )
     assert [note for note in notes if words in note] if words else not notes
 
 
@@ -514,11 +519,11 @@ def test_number_in_another_unit_is_noted(slip: dict, usual: dict, mended: str) -
 
 def test_both_fields_of_a_slip_exist() -> None:
     names = {*SLIPS, *(slip.meant for slip in SLIPS.values() if slip.meant)}
-    assert names <= Pixel.model_fields.keys() | Camera.model_fields.keys()
+    assert names <= Pixel.model_fields.keys() | pixsim.Camera.model_fields.keys()
 
 
 BANDS_NM = np.arange(405.0, 700.0, 10.0)
-SMALL = Camera(die_mm=0.1)
+SMALL = pixsim.Camera(die_mm=0.1)
 GRID = np.arange(400.0, 701.0, 10.0)
 
 
@@ -591,7 +596,7 @@ def test_crosstalk_mixes_colours_before_noise() -> None:
     """
     data = np.full((100, 100, BANDS_NM.size), 1e-3)
     uniform = SpectralImage(BANDS_NM, 10.0, 1.0, data=data, header={"diffraction": False})
-    slow = Camera(die_mm=0.1, f_number=1e3)
+    slow = pixsim.Camera(die_mm=0.1, f_number=1e3)
     stack = {"height_um": 4.0, "index": 1.5, "microlens": "none"}
     cells = [
         mean_signal_rate(uniform, slow, bsi(colour=RGB, stack=stack | {"crosstalk": crosstalk}))

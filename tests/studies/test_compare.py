@@ -15,7 +15,6 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 import pixsim
-from pixsim import Camera, Study
 from pixsim.optics.camera_lens import Tiling, traced_lens
 from pixsim.report.compare import numbers
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -72,7 +71,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 SIDES = st.floats(1.0, 40.0)
 CAMERAS = st.lists(
     st.builds(
-        Camera,
+        pixsim.Camera,
         focal_length_mm=st.floats(2.0, 100.0),
         die_mm=SIDES,
         die_height_mm=SIDES,
@@ -86,7 +85,9 @@ CAMERAS = st.lists(
 
 @given(CAMERAS, st.sampled_from(["view", "lens", "own"]))
 @settings(max_examples=60, deadline=None)
-def test_matched_cameras_see_the_largest_field_that_all_have(cameras: list[Camera], match) -> None:
+def test_matched_cameras_see_the_largest_field_that_all_have(
+    cameras: list[pixsim.Camera], match
+) -> None:
     matched = matched_cameras(cameras, match)
     fields = [(camera.fov_deg, camera.height_mm / camera.die_mm) for camera in matched]
     np.testing.assert_allclose(fields, [fields[0]] * len(fields), rtol=1e-8)
@@ -100,7 +101,7 @@ def test_matched_cameras_see_the_largest_field_that_all_have(cameras: list[Camer
 
 @given(CAMERAS)
 @settings(max_examples=60, deadline=None)
-def test_matched_view_scales_the_lens_with_the_die(cameras: list[Camera]) -> None:
+def test_matched_view_scales_the_lens_with_the_die(cameras: list[pixsim.Camera]) -> None:
     """v = f(1 + |m|) over the width of the die is that of the first camera, and the object is as
     wide: detail of the scene is as large on every die, as a fraction of it.
     """
@@ -118,7 +119,10 @@ def test_matched_view_scales_the_lens_with_the_die(cameras: list[Camera]) -> Non
 
 
 def test_matched_lens_is_that_of_the_first_or_of_each() -> None:
-    cameras = [Camera(die_mm=8.0, focal_length_mm=8.0), Camera(die_mm=4.0, focal_length_mm=3.0)]
+    cameras = [
+        pixsim.Camera(die_mm=8.0, focal_length_mm=8.0),
+        pixsim.Camera(die_mm=4.0, focal_length_mm=3.0),
+    ]
     for match, focal_lengths_mm in (("lens", [8.0, 8.0]), ("own", [8.0, 3.0])):
         matched = matched_cameras(cameras, match)
         assert [camera.focal_length_mm for camera in matched] == focal_lengths_mm
@@ -331,9 +335,9 @@ def test_best_size_on_another_display_is_that_of_a_study_with_it(tmp_path: Path)
 # --- conditions and their weighted mean -----------------------------------------------------------
 
 
-def plan(**over) -> Study:
+def plan(**over) -> pixsim.Study:
     table = {"scene": {"file": EDGE}, "resolution": 48, "exposure": {"max_integration_s": 0.05}}
-    return Study(name="both", **table | over)
+    return pixsim.Study(name="both", **table | over)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,6 @@ from helpers.tiny import keys, tiny as tiny_study
 from scipy import integrate, special, stats
 
 import pixsim
-from pixsim import Frame
 from pixsim.base.arrays import Array
 from pixsim.report.study_facts import target_notes
 from pixsim.studies.curve import (
@@ -812,7 +811,11 @@ def test_study_adds_rounds_to_limit(done: tuple[StudyResult, Path]) -> None:
 
 @pytest.mark.parametrize(("begun", "rows"), [(12, 4), (20, 24)], ids=["at first", "in a round"])
 def test_study_interrupted_round_is_resumed(
-    begun: int, rows: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+    begun: int,
+    rows: int,
+    done: tuple[StudyResult, Path],
+    tmp_path: Path,
+    evaluations: list[pixsim.Frame],
 ) -> None:
     """Rows are written as they are made: an interruption leaves those of the rounds before, and
     some of a round.

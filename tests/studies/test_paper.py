@@ -16,7 +16,6 @@ from helpers.tiny import COARSE, PITCHES_UM, keys, tiny, tiny_toml
 from scipy import ndimage, signal
 
 import pixsim
-from pixsim import Pixel, load_technology
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
@@ -116,14 +115,14 @@ SLOW = Camera(f_number=4.0)
 ONE_LINE = np.array([550.0])
 # nm: no lens in air is fast enough to make diffraction vanish, but a wavelength can be short enough
 X_RAYS = np.array([0.01])
-PAPER = derive(Pixel(capacitance="paper"))
+PAPER = derive(pixsim.Pixel(capacitance="paper"))
 HOT_E = 30 * PAPER.dark_current_e_per_s * FIGURE_2_INTEGRATION_S
 PAPER_NM = np.arange(400.0, 721.0, 5.0)
 LINE_555_NM = np.where(PAPER_NM == 555.0, 1.0, 0.0)
 EQUAL = np.ones(1)
 
 
-def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, Pixel]:
+def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, pixsim.Pixel]:
     """The paper's study in daylight, or in light of a spectrum from 400 to 720 nm, (65,), and its
     pixel of 6.5 µm.
     """
@@ -135,7 +134,7 @@ def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, Pixel]:
 
 def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
     result = daylight()
-    physics = derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0))
+    physics = derive(pixsim.Pixel(pitch_um=pitch_um, read_noise_e=12.0))
     exposure_lx_s = mpe30_lx_s(result, physics, integration_s)
     e_per_lx_s = sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
     return float(Readout.of(physics).snr_db(exposure_lx_s * e_per_lx_s, integration_s))
@@ -147,7 +146,7 @@ def sensitivity(response: str = "literal", cut_nm: float | None = None, **form) 
     image = SpectralImage(DAYLIGHT_NM, 5.0, 5.3, **light)
     result = replace(daylight(), light=Light(image, Camera()))
     return sensitivity_e_per_lx_s_um2(
-        result, derive(Pixel(response=response, infrared_cut_nm=cut_nm))
+        result, derive(pixsim.Pixel(response=response, infrared_cut_nm=cut_nm))
     )
 
 
@@ -156,7 +155,7 @@ def mtf_of_detail(mtf: Callable[..., Array] = study_mtf_terms, frequency_cy_per_
     return mtf(result, derive(pixel), np.array(frequency_cy_per_mm))
 
 
-LARGE = derive(Pixel(pitch_um=12.0, quantum_efficiency=0.5))
+LARGE = derive(pixsim.Pixel(pitch_um=12.0, quantum_efficiency=0.5))
 LARGE_SIDE_MM = 1e-3 * LARGE.photodiode_side_um
 PITCH_UM = np.geomspace(5.3, 15.0, 7)
 SPECTRA, PICTURES = daylight().irradiance.factors
@@ -237,7 +236,9 @@ CLAIMS = [
     ),
     Claim(
         "MTF50 of a speck is the lens's: (2/π)(acos x - x√(1-x²)) = ½ at x = 0.403973",
-        lambda: mtf50_cy_per_mm(lit(ONE_LINE, 10.0, EQUAL, SLOW), derive(Pixel(fill_factor=1e-4))),
+        lambda: mtf50_cy_per_mm(
+            lit(ONE_LINE, 10.0, EQUAL, SLOW), derive(pixsim.Pixel(fill_factor=1e-4))
+        ),
         0.403973 * 1e6 / (550.0 * SLOW.effective_f_number),
         rtol=1e-3,
         why="the speck of 65 nm takes 2e-4",
@@ -246,7 +247,7 @@ CLAIMS = [
         "wavelengths of equal power and QE weigh as photons: as λ",
         lambda: system_mtf(
             lit(TWO_NM, 10.0, np.ones(2), SLOW),
-            derive(Pixel(fill_factor=1e-8, quantum_efficiency=0.3)),
+            derive(pixsim.Pixel(fill_factor=1e-8, quantum_efficiency=0.3)),
             FREQUENCY,
         ),
         (450 * OTFS[0] + 650 * OTFS[1]) / 1100,
@@ -284,12 +285,12 @@ CLAIMS = [
         "a dark picture takes equal light",
         lambda: list(
             study_mtf_terms(
-                chen2000(np.zeros(65))[0], derive(Pixel(pitch_um=6.5)), np.array(33.0)
+                chen2000(np.zeros(65))[0], derive(pixsim.Pixel(pitch_um=6.5)), np.array(33.0)
             ).values()
         ),
         list(
             study_mtf_terms(
-                chen2000(np.ones(65))[0], derive(Pixel(pitch_um=6.5)), np.array(33.0)
+                chen2000(np.ones(65))[0], derive(pixsim.Pixel(pitch_um=6.5)), np.array(33.0)
             ).values()
         ),
     ),
@@ -537,7 +538,7 @@ def curve_of(technology: str, optimum_um: float, best: float) -> Curve:
     """A parabola in log pitch with its minimum at `optimum_um`, the same for two sensors."""
     pitch_um = np.geomspace(0.85, 1.8, 16) * optimum_um
     delta_e = np.repeat((best + 0.5 * np.log(pitch_um / optimum_um) ** 2)[:, None], 2, axis=1)
-    fill_factor = np.clip(fill_factor_law(pitch_um, load_technology(technology)), 0, 1)
+    fill_factor = np.clip(fill_factor_law(pitch_um, pixsim.load_technology(technology)), 0, 1)
     best_fit = fit_curve(pitch_um, delta_e)
     return Curve(
         technology,
@@ -822,7 +823,7 @@ def test_range_of_leaves_out_what_has_no_range_and_an_end_that_is_set() -> None:
     """The peak of 0.35 µm is measured."""
     with pytest.warns(UserWarning, match="no technology of the study has a range"):
         assert axes("peak_quantum_efficiency") == ()
-    low, high = load_technology("0.35um").ranges["dsnu"]
+    low, high = pixsim.load_technology("0.35um").ranges["dsnu"]
     points = [point.label for axis in axes("dsnu", dsnu=low) for point in axis.points]
     assert points == [f"0.35um {high:g}"]
 

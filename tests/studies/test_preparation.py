@@ -22,7 +22,6 @@ from helpers.study_settings import CHANGES
 from helpers.tiny import rows, tiny, toml_of
 
 import pixsim
-from pixsim import Pixel, PixsimError, SpectralImage, Study
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
@@ -116,7 +115,7 @@ def test_choose_view_takes_the_least_of_three_limits_and_keeps_settings(
 # --- pixel sizes
 
 
-def sheet_study(die_mm: float, pixel: dict | None = None, **pitch) -> Study:
+def sheet_study(die_mm: float, pixel: dict | None = None, **pitch) -> pixsim.Study:
     table = {
         "name": "own",
         "technologies": ["none"],
@@ -124,7 +123,7 @@ def sheet_study(die_mm: float, pixel: dict | None = None, **pitch) -> Study:
         "pixel": NUMBERS | {"data_sheet_pitch_um": 3.45} | (pixel or {}),
         "pitch": pitch,
     }
-    return Study.model_validate(table)
+    return pixsim.Study.model_validate(table)
 
 
 STACK = {"height_um": 5.0, "index": 1.5, "microlens": "square"}
@@ -143,7 +142,7 @@ RANGES = {
     ("study", "die_mm", "end", "min_um", "max_um"), RANGES.values(), ids=RANGES
 )
 def test_fitted_range_is_quarter_to_four_times_within_a_frame_and_the_die(
-    study: Study, die_mm: float, end: str, min_um: float, max_um: float
+    study: pixsim.Study, die_mm: float, end: str, min_um: float, max_um: float
 ) -> None:
     with warnings.catch_warnings(record=True, action="always") as caught:
         fitted = fitted_range(study, pixsim.Camera(die_mm=die_mm))
@@ -225,7 +224,7 @@ FILES = {
 }  # fmt: skip
 
 
-def fields(study: Study, *names: str) -> tuple[object, ...]:
+def fields(study: pixsim.Study, *names: str) -> tuple[object, ...]:
     """Fields of a study by their dotted names."""
     return tuple(reduce(getattr, name.split("."), study) for name in names)
 
@@ -496,7 +495,7 @@ RULES: dict[str, tuple[Callable, str]] = {
         r"pitch\.min_um",
     ),
     "more problems than fit a message": (
-        lambda: checked(Study, [Layer({"name": "a"} | {f"b{n}": 1 for n in range(5000)})]),
+        lambda: checked(pixsim.Study, [Layer({"name": "a"} | {f"b{n}": 1 for n in range(5000)})]),
         r"(?=(.*\n){10}).*\nand 4990 more problems$",
     ),
     "an unknown technology": (lambda: prepare(tiny(technologies=("0.3um",))), "0.3um"),
@@ -606,7 +605,7 @@ RULES: dict[str, tuple[Callable, str]] = {
         "46 % are within",
     ),
     "an unknown uncertain number": (
-        lambda: unknowns_of_sheet(Pixel(pitch_um=3.0, **NUMBERS), {"dsnu": Spread(sd=1)}),
+        lambda: unknowns_of_sheet(pixsim.Pixel(pitch_um=3.0, **NUMBERS), {"dsnu": Spread(sd=1)}),
         "no such number",
     ),
     "a number outside its range": (
@@ -650,7 +649,7 @@ def test_usual_names_are_allowed() -> None:
 
 # --- options of studies, comparisons and sweeps
 
-LIGHT = SpectralImage(
+LIGHT = pixsim.SpectralImage(
     [450.0, 550.0, 620.0],
     30.0,
     10.0,
@@ -698,7 +697,7 @@ def test_values_are_those_of_all_arguments_and_settings() -> None:
     assert (
         VALUES.keys()
         == (inspect.signature(pixsim.study).parameters.keys() - SUBJECTS - FOLDER)
-        | Study.model_fields.keys()
+        | pixsim.Study.model_fields.keys()
     )
 
 
@@ -728,7 +727,10 @@ def made_by_compare(options: dict) -> object:
 
 def made_by_sweep(options: dict) -> object:
     """What a sweep makes: its rows."""
-    pixels = {"a": Pixel(pitch_um=10.0), "b": Pixel(technology="4t-bsi", pitch_um=10.0)}
+    pixels = {
+        "a": pixsim.Pixel(pitch_um=10.0),
+        "b": pixsim.Pixel(technology="4t-bsi", pitch_um=10.0),
+    }
     return repr(list(pixsim.sweep(LIGHT, pixels, **{"display": {"dots": 24}} | options)))
 
 
@@ -777,7 +779,7 @@ def made_without(form: str, name: str) -> object:
 def test_option_of_a_study_acts_is_named_or_is_refused(form: str, name: str) -> None:
     options = {name: (VALUES | SWEEP_VALUES if form == "sweep" else VALUES)[name]}
     if name in REFUSED[form]:
-        with pytest.raises(PixsimError, match=rf"^{name}: got a value .*; allowed: "):
+        with pytest.raises(pixsim.PixsimError, match=rf"^{name}: got a value .*; allowed: "):
             MADE[form](options)
         return
 

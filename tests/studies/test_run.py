@@ -16,7 +16,6 @@ from helpers.tiny import TINY, rows, tiny
 from scipy import stats
 
 import pixsim
-from pixsim import PixsimError
 from pixsim.base.caller import command_line
 from pixsim.base.files import FILE_LIST
 from pixsim.base.schema import SCHEMA
@@ -198,7 +197,9 @@ def test_a_run_does_not_replace_the_rows_of_a_study(tmp_path: Path) -> None:
     run_rows = (tmp_path / ROWS_FILE).read_bytes()
     pixsim.study(tiny(), tmp_path, jobs=1).write(tmp_path)
     study_rows = (tmp_path / ROWS_FILE).read_bytes()
-    with pytest.raises(PixsimError, match=r"holds results\.csv, not written by this command"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"holds results\.csv, not written by this command"
+    ):
         run.write(tmp_path)
     assert (tmp_path / ROWS_FILE).read_bytes() == study_rows
     assert (tmp_path / f"{ROWS_FILE}.old").read_bytes() == run_rows
@@ -302,7 +303,7 @@ def test_a_damaged_result_is_named(
         (tmp_path / name).unlink()
     else:
         (tmp_path / name).write_bytes(change((tmp_path / name).read_bytes()))
-    with pytest.raises(PixsimError, match=text):
+    with pytest.raises(pixsim.PixsimError, match=text):
         pixsim.compare_results(folders["quiet"], tmp_path)
 
 
@@ -317,5 +318,5 @@ def test_a_damaged_result_is_named(
 def test_results_without_differences_are_refused(
     name: str, options: dict, text: str, folders: dict[str, Path]
 ) -> None:
-    with pytest.raises(PixsimError, match=text):
+    with pytest.raises(pixsim.PixsimError, match=text):
         pixsim.compare_results(folders["quiet"], folders[name], **options)

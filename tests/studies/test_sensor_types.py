@@ -19,7 +19,6 @@ from helpers.tiny import COARSE, TINY, rows, toml_of
 from scipy import stats
 
 import pixsim
-from pixsim import Frame, Pixel, Technology, derive, load_technology
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import SETTINGS_FILE, packaged
@@ -223,7 +222,9 @@ def test_probability_is_jeffreys_interval(holds: int, draws: int) -> None:
 
 def unknowns_of(*names: str) -> list[Unknown]:
     return [
-        unknown for name in names for unknown in unknowns_of_technology(load_technology(name), name)
+        unknown
+        for name in names
+        for unknown in unknowns_of_technology(pixsim.load_technology(name), name)
     ]
 
 
@@ -297,11 +298,11 @@ VOLTAGES = {"voltage_swing_v": (0.9, 2.2), "reset_voltage_v": (1.2, 3.0)}
 def test_unknowns_of_technology_draw_valid_technologies(
     name: str, ranges: dict[str, tuple[float, float]], distribution: str
 ) -> None:
-    base = load_technology(name)
+    base = pixsim.load_technology(name)
     ranges = ranges or base.ranges
     kinds = {number: distribution for number, (low, _) in ranges.items() if low > 0}
     changes = {"ranges": ranges, "distributions": kinds}
-    technology = Technology.model_validate(base.model_dump() | changes)
+    technology = pixsim.Technology.model_validate(base.model_dump() | changes)
     unknowns = unknowns_of_technology(technology, name)
     assert {unknown.name for unknown in unknowns} == {f"{name} {number}" for number in ranges}
     for draw in sample_types(unknowns, 64).draws:
@@ -311,7 +312,7 @@ def test_unknowns_of_technology_draw_valid_technologies(
 
 def test_ranges_of_swing_and_reset_voltage_are_cut_at_the_middle_between_both_values() -> None:
     """A swing above the reset voltage is no pixel."""
-    technology = load_technology("0.35um").model_copy(update={"ranges": VOLTAGES})
+    technology = pixsim.load_technology("0.35um").model_copy(update={"ranges": VOLTAGES})
     swing, reset = (unknown.allowed for unknown in unknowns_of_technology(technology, "mine"))
     assert swing[1] == reset[0] == (1.2 + 2.2) / 2
 
@@ -321,11 +322,11 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
     0.985, where draws end.
     """
     efficiency = {"quantum_efficiency": 0.9, "quantum_efficiency_nm": 600}
-    deep = Pixel(**SHEET | efficiency, quantum_efficiency_depth_um=10)
+    deep = pixsim.Pixel(**SHEET | efficiency, quantum_efficiency_depth_um=10)
     (unknown,) = unknowns_of_sheet(deep, {"quantum_efficiency": Spread(sd=0.05)})
     highest = float(unknown.at(np.array([1.0]))[0])
     assert highest == pytest.approx(1 - np.exp(-10 * absorption_per_um(600.0)), rel=1e-9)
-    physics = derive(deep.model_copy(update={"quantum_efficiency": highest}))
+    physics = pixsim.derive(deep.model_copy(update={"quantum_efficiency": highest}))
     assert physics.quantum_efficiency(350.0) == pytest.approx(1.0, abs=1e-6)
 
 
@@ -338,7 +339,7 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
 )
 def test_stated_numbers_of_a_stack_are_known(stack: dict, stated: set[str]) -> None:
     study = Study(name="b", technologies=["4t-bsi"], pixel={"stack": stack})
-    left = set(load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in stated}
+    left = set(pixsim.load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in stated}
     assert {unknown.quantity for unknown in unknowns_of_study(study)} == left
 
 
@@ -360,8 +361,8 @@ def test_study_of_a_draw_has_its_numbers(tmp_path: Path) -> None:
     # By the data sheet's PRNU, and by [pixel].
     stated = {"prnu_um", "read_noise_e", "read_noise_after_gain_e"}
     expected = {"read_noise_e", f"{plain} full_well_e", f"{mixed} dsnu"}.union(
-        (f"0.35um {name}" for name in load_technology("0.35um").ranges if name != "dsnu"),
-        (f"{mixed} {name}" for name in load_technology("4t-bsi").ranges.keys() - stated),
+        (f"0.35um {name}" for name in pixsim.load_technology("0.35um").ranges if name != "dsnu"),
+        (f"{mixed} {name}" for name in pixsim.load_technology("4t-bsi").ranges.keys() - stated),
     )
     assert {unknown.name for unknown in unknowns} == expected
 
@@ -644,7 +645,7 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_comparison_of_types_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[pixsim.Frame]
 ) -> None:
     """The line of settings.toml takes up a table of types that was cut off, and finds the same."""
     monkeypatch.chdir(tmp_path)

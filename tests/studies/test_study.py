@@ -14,7 +14,6 @@ from helpers.commands import command
 from helpers.tiny import PITCHES_UM, WHOLE_CHART, rows, tiny as tiny_study, tiny_toml, toml_of
 
 import pixsim
-from pixsim import Frame
 from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.files import FOLDER_VARIABLE
@@ -69,7 +68,7 @@ def test_study_command_writes_the_rows_of_python(
 # earlier column; 2000: rows are gone.
 @pytest.mark.parametrize("cut_bytes", [0, 4, 60, 2000])
 def test_study_truncated_file_is_completed(
-    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[pixsim.Frame]
 ) -> None:
     whole = (done[1] / "results.csv").read_bytes()
     part = whole[: len(whole) - cut_bytes]
@@ -120,7 +119,9 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
 # --- what a row depends on
 
 
-def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[Frame]) -> None:
+def test_study_changed_texture_is_recomputed(
+    tmp_path: Path, evaluations: list[pixsim.Frame]
+) -> None:
     scene = {"parameters": {"chart": str(tmp_path / "chart.exr")}}
     study = tiny(repeats=2, pitch={"values_um": FIVE_UM}, scene=scene)
     counts = []
@@ -152,7 +153,7 @@ def test_study_row_depends_on_its_sensor_only(
     shared: int,
     done: tuple[StudyResult, Path],
     tmp_path: Path,
-    evaluations: list[Frame],
+    evaluations: list[pixsim.Frame],
 ) -> None:
     (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
     pixsim.study(tiny(**over), tmp_path, jobs=1)
