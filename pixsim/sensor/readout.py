@@ -139,15 +139,25 @@ def metered_motion(
     still_e_per_s : signal of that picture, (rows, columns)
     um_per_s : velocity [x, y] of the image on the sensor
 
-    Raises PixsimError for exposures one after another, of which each would see another picture.
+    Raises PixsimError for exposures of several times, of which each would see another picture.
     """
-    if any(collector.start_share or collector.start_s for collector in readout.merge.model[0]):
-        hint = "Use a still scene, or exposures at one time, such as kind = 'split'."
-        got = "exposures one after another in light that moves"
-        raise invalid("pixel.readout", got, "light that stands still", hint)
+    _check_exposed_at_once(readout, "moves")
     exposure = with_metered_gain(exposure, readout, float(still_e_per_s.max()))
     time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
     return motion_in_frame(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
+
+
+def _check_exposed_at_once(readout: Readout, change: str) -> None:
+    """Raise PixsimError if collectors have exposures of their own, in light that moves, or that
+    flickers.
+    """
+    if any(
+        collector.start_share or collector.start_s or collector.length_share != 1
+        for collector in readout.merge.model[0]
+    ):
+        hint = "Exposures of kind = 'split' are at one time."
+        got = f"exposures of several times in light that {change}"
+        raise invalid("pixel.readout", got, "light that does not change", hint)
 
 
 # --- fixed pattern
@@ -975,9 +985,11 @@ def capture_from_rates(
     each : (rows, columns) rates in each subexposure of a burst, whose mean is the signal; empty if
         all are the same
 
-    Raises PixsimError if the shape differs from the sensor's, or if the electrons are too many for
-    the numbers of the rates.
+    Raises PixsimError if the shape differs from the sensor's, if the electrons are too many for the
+    numbers of the rates, and for exposures of several times in light that flickers.
     """
+    if exposure.flickers:
+        _check_exposed_at_once(sensor.readout, "flickers")
     exposure = with_metered_gain(exposure, sensor.readout, float(signal_e_per_s.max()))
     readout = sensor.readout.at(exposure)
     if signal_e_per_s.shape != sensor.shape:

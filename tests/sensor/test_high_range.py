@@ -65,6 +65,15 @@ def weight_in_the_dark(bits: int) -> float:
     return float(mean_weights(Readout.of(derive(sensor)), np.zeros(1), 0.0)[0, 0])
 
 
+def centres_apart_ms(ratio: float) -> float:
+    """Of exposures of 10 ms and less with a gap of 1 ms."""
+    first, second = (
+        10 * (collector.start_share + collector.length_share / 2) + 1e3 * collector.start_s
+        for collector in staggered(ratio, gap_us=1000).readout.model[0]
+    )
+    return second - first
+
+
 BEST = "max_likelihood"
 LAST_DIGIT = "last digit of the number"
 NUMBERS = [
@@ -128,6 +137,16 @@ NUMBERS = [
     ("dark noise, max_likelihood", lambda: dark_noise_e("max_likelihood", False), 0.80, 2),
     ("dark noise, select, rounded", lambda: dark_noise_e("select", True), 0.913, 3),
     ("dark noise, max_likelihood, rounded", lambda: dark_noise_e("max_likelihood", True), 0.882, 3),
+    (
+        "20 lg 16 more than one exposure",
+        lambda: (
+            pixsim.dynamic_range(staggered(16)).maker_db
+            - pixsim.dynamic_range(pixel(None, full_well_e=1e4, read_noise_e=2)).maker_db
+        ),
+        24.08,
+        2,
+    ),
+    ("centres of exposures, (10 + .625)/2 + 1 ms apart", lambda: centres_apart_ms(16), 6.3125, 4),
     ("weight of the high gain in the dark", lambda: weight_in_the_dark(24), 0.931, 3),
     ("with 12 bits", lambda: weight_in_the_dark(12), 0.9336, 4),
     *(
@@ -453,6 +472,21 @@ def test_gains_of_a_reading_scatter_where_it_is_used(level_e: float, scatters: b
     noise_e2 = (expected_e2 - scatters * (0.005 * level_e) ** 2) / SHAPE[0]
     expected_e2 = noise_e2 + scatters * (0.005 * level_e) ** 2
     assert columns_e2 == pytest.approx(expected_e2, rel=4 * math.sqrt(2 / SHAPE[1]))
+
+
+@pytest.mark.parametrize(
+    ("change", "exposure", "motion"),
+    [
+        ("flickers", TIMED.model_copy(update={"flicker_hz": 100.0, "flicker_depth": 0.5}), None),
+        ("moves", TIMED, pixsim.Motion(pixels_per_s=(10.0, 0.0))),
+    ],
+)
+def test_exposures_of_several_times_need_light_that_does_not_change(
+    change: str, exposure: Exposure, motion: pixsim.Motion | None
+) -> None:
+    sensor = pixsim.make_sensor(pixel(KINDS["staggered"][0]), FLAT_CAMERA)
+    with pytest.raises(PixsimError, match=f"light that {change}"):
+        pixsim.capture(flat_light(1.0), FLAT_CAMERA, sensor, exposure, motion=motion, rng=seeded(0))
 
 
 def test_patterns_belong_to_photodiodes() -> None:
