@@ -26,6 +26,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
+from filelock import FileLock
 from helpers.machine import changes, devices, files_below
 from helpers.tiny import WHOLE_CHART, tiny
 
@@ -152,8 +153,15 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than
     a detail.
     """
+    import joblib
+
     own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 256, "paper": True})
-    return pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
+    stored = shared_folder(tmp_path_factory) / "tiny_result"
+    with FileLock(f"{stored}.lock"):  # it is made once for all workers of the run
+        if not stored.exists():
+            result = pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
+            joblib.dump(result, stored)
+    return joblib.load(stored)
 
 
 @pytest.fixture

@@ -442,14 +442,14 @@ def sheet(path: Path, table: dict | None = None, **more) -> Path:
 # --- of a study
 
 # One column, and so one fit of a type.
-BY_INFORMATION = {"metrics": ["information"], "metric": {"information": {"spectrum": "scene"}}}
+BY_VISUAL_NOISE = {"metrics": ["visual_noise"]}
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, Path]:
-    """The types of both technologies by information."""
+    """The types of both technologies by visual noise."""
     folder = tmp_path_factory.mktemp("types")
-    study = Study.model_validate(SMALL | BY_INFORMATION)
+    study = Study.model_validate(SMALL | BY_VISUAL_NOISE)
     return pixsim.study(study, folder, jobs=1, uncertainty=8, smaller_than_um=(1.0,)), folder
 
 
@@ -460,7 +460,7 @@ def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
     result, folder = done
     sample = UncertaintyRequest(8).sample(result.study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    table = rows(folder / "types_information.csv")
+    table = rows(folder / "types_visual_noise.csv")
     drawn = [row for row in table if (row["draw"], row["technology"]) == ("3", "0.25um")]
     assert 5 <= len(drawn) <= MAX_TYPE_EVALUATIONS
 
@@ -471,17 +471,17 @@ def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
         "pitch": {"values_um": [*sorted(set(pitches_um)), 12.0]},
     }  # fmt: skip
     curve = pixsim.study(
-        Study.model_validate(merge(SMALL | BY_INFORMATION, over)), tmp_path, jobs=1
+        Study.model_validate(merge(SMALL | BY_VISUAL_NOISE, over)), tmp_path, jobs=1
     ).curves[0]
-    values = curve.statistics["information"][np.searchsorted(curve.pitch_um, pitches_um)]
+    values = curve.statistics["visual_noise"][np.searchsorted(curve.pitch_um, pitches_um)]
     expected = [each[int(row["repeat"])] for each, row in zip(values, drawn, strict=True)]
-    np.testing.assert_allclose([float(row["information"]) for row in drawn], expected, rtol=1e-9)
+    np.testing.assert_allclose([float(row["visual_noise"]) for row in drawn], expected, rtol=1e-9)
 
 
 def test_verdicts_are_shares_of_the_types(done: tuple[object, Path]) -> None:
-    """By information more is better; both technologies together have 1."""
+    """By visual noise less is better; both technologies together have 1."""
     first, second = done[0].uncertainty
-    share = np.mean(first.table["information"] > second.table["information"])
+    share = np.mean(first.table["visual_noise"] < second.table["visual_noise"])
     assert first.verdicts["0.35um is better than 0.25um"].probability == share
     assert second.verdicts["0.25um is better than 0.35um"].probability == 1 - share
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
