@@ -121,15 +121,10 @@ class Experiment:
     def frame(
         self, photons: float, integration_s: float, *key: object, sensor: Sensor | None = None
     ) -> Frames:
-        """One frame of the device, (rows, columns) DN; the key names its random stream. Companded
-        codes are decoded to whole linear DN.
-        """
+        """One frame of the device, (rows, columns) linear DN; the key names its random stream."""
         exposed = sensor or self.sensor
         mean_e = np.full(exposed.shape, photons * self.efficiency)
-        dn = read_out(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
-        if exposed.readout.adc.knees is None:
-            return dn
-        return np.rint(exposed.readout.adc.levels_of(dn)).astype(np.int32)
+        return read_linear(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
 
     def outputs(self, count: int, photons: float, *key: object) -> Iterator[NDArray[Any]]:
         """Frames as the device hands them on, (rows, columns): merged electrons of several
@@ -198,6 +193,15 @@ class Experiment:
             derive(pixel, device.technology), full_well_e=device.full_well_e, channel=device.channel
         )
         return replace(self.sensor, readout=replace(self.readout, physics=warm))
+
+
+def read_linear(
+    mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator
+) -> Frames:
+    """Return the frame of `read_out`, whose companded codes are decoded to whole linear DN."""
+    dn = read_out(mean_e, integration_s, sensor, rng)
+    adc = sensor.readout.adc
+    return dn if adc.knees is None else np.rint(adc.levels_of(dn)).astype(np.int32)
 
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
