@@ -585,8 +585,7 @@ def test_lens_of_a_user_that_is_scaled_to_the_die_is_noted(tmp_path: Path) -> No
     with pytest.warns(UserWarning, match=r"is scaled so .*lens\.focal_length_mm = "):
         with_lens(tmp_path / "mine.toml", 10.0)
     focal_mm = load_lens("singlet").first_order(587.56).focal_length_mm
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         with_lens(tmp_path / "mine.toml", 10.0, focal_length_mm=focal_mm)
         with_lens("cooke_triplet", 10.0)
 

@@ -79,8 +79,8 @@ def test_headline_of_a_run_is_that_of_its_first_metric(
     metrics: list[str], first: str, other: str
 ) -> None:
     """Of a target without stated metrics, whether it is seen."""
-    options = {"camera": {"die_mm": 0.2}, "pixel": {"bits": 12}}
-    result = pixsim.run("target", resolution=64, metrics=metrics, **options)
+    options = {"camera": {"die_mm": 0.2}, "pixel": {"bits": 12}, "display": {"dots": 48}}
+    result = pixsim.run("target", resolution=48, metrics=metrics, **options)
     head, *lines = text(run_document(result)).splitlines()
     assert head.startswith(first)
     assert any(line.strip().startswith(other) for line in lines)

@@ -40,8 +40,7 @@ SAME = ("mean_delta_e", "max_delta_e", "mean_electrons_e", "integration_s", "cam
 
 def scored(line: str) -> tuple[dict, str]:
     """score.json, and what was warned of."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(action="always"):
         code, out, err = command(line)
     assert code == 0, err
     return json.loads(out), err
