@@ -8,7 +8,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 # Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a
 # run share the cores.
@@ -27,13 +26,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
+from filelock import FileLock
 from helpers.machine import changes, devices, files_below
 from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.locks import UNFINISHED
-from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.development import Development
@@ -120,16 +119,33 @@ def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
     assert not any(found.values()), found
 
 
+# Modules whose claims are settings without effect, all that a page says, or that nothing else is
+# raised, whatever the settings.
+REVIEWED = (
+    "test_without_effect",
+    "test_preparation",
+    "test_golden",
+    "test_properties",
+    "test_arguments",
+)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def unreviewed(request: pytest.FixtureRequest) -> Iterator[None]:
     """No setting is said to do nothing, which takes a third of the time of a small frame's score:
-    in rooms whose claims are others, but for the modules that have this one.
+    in modules whose claims are others.
     """
-    has_claim = request.path.stem in ("test_without_effect", "test_preparation")
     with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name in ("viewer", "studies", "explorer", "cli") and not has_claim:
+        if request.path.stem not in REVIEWED:
             patch.setattr(UserSettings, "without_effect", lambda _: [])
         yield
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of the test's own, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture(scope="session")
@@ -137,25 +153,32 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """A study of one technology with the comparison to the paper, on a display slightly larger than
     a detail.
     """
+    import joblib
+
     own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 256, "paper": True})
-    return pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
+    stored = shared_folder(tmp_path_factory) / "tiny_result"
+    with FileLock(f"{stored}.lock"):  # it is made once for all workers of the run
+        if not stored.exists():
+            result = pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
+            joblib.dump(result, stored)
+    return joblib.load(stored)
 
 
 @pytest.fixture
-def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[pixsim.Frame]:
     """Frames scored in this process so far, without those of the small light; none of them measures
     a film that is coarse.
     """
-    frames: list[Frame] = []
-    of_small_light: list[Frame] = []
+    frames: list[pixsim.Frame] = []
+    of_small_light: list[pixsim.Frame] = []
     capture, view = ImagingChain.capture, Development.score
 
-    def captured(chain: ImagingChain, *key: object, **more: Any) -> Frame:
+    def captured(chain: ImagingChain, *key: object, **more) -> pixsim.Frame:
         frame = capture(chain, *key, **more)
         of_small_light.extend([frame] * (key == STREAM))
         return frame
 
-    def scored(development: Development, frame: Frame) -> FrameScore:
+    def scored(development: Development, frame: pixsim.Frame) -> FrameScore:
         frames.extend([frame] * all(frame is not other for other in of_small_light))
         return view(development, frame)
 

@@ -4,15 +4,12 @@ counts.
 
 import ast
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
-from importlib.metadata import version
-from pathlib import Path
 
 import pytest
 from helpers.language import by_room, placeholders
@@ -81,6 +78,12 @@ HEAVY = {
 def tree(module: str) -> ast.Module:
     """What a file of the package says."""
     return tree_of(FILES[module])
+
+
+@cache
+def nodes(module: str) -> list[ast.AST]:
+    """All nodes of a file of the package."""
+    return list(ast.walk(tree(module)))
 
 
 def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
@@ -155,7 +158,7 @@ def test_technologies_are_loaded_before_pixels_are_derived() -> None:
     calls = (
         (module, node)
         for module in sorted(set(MODULES) - outside)
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
         and node.func.id == "derive"
@@ -189,21 +192,9 @@ def test_functions_between_light_and_score_take_imaging() -> None:
         f"{module}.{node.name}"
         for module in MODULES
         if module.startswith(("viewer.", "studies."))
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.FunctionDef) and len(parts_of(node)) > 2
     } == BUILD_IMAGING
-
-
-def test_architecture_names_each_file_of_studies() -> None:
-    page = Path(__file__).parents[1] / "docs/architecture.md"
-    if not page.is_file():
-        pytest.skip("the tests are installed without the pages' sources")
-    text = page.read_text(encoding="utf-8").partition("### The files of `studies/`")[2]
-    section = text.partition("\nKeys decide")[0]
-    files = {path.stem for path in (PACKAGE / "studies").glob("*.py")} - {"__init__"}
-    assert not {name for name in files if f"`{name}`" not in section}, (
-        "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
-    )
 
 
 def test_name_of_a_class_stands_once() -> None:
@@ -246,7 +237,7 @@ def test_base_has_no_quantity() -> None:
     names = {
         (module, node.id if isinstance(node, ast.Name) else node.arg)
         for module in {name for name in MODULES if name.startswith("base.")} - {"base.units"}
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.Name | ast.arg)
     }
     assert not {name for name in names if unit_of(name[1].lower()) not in ("", "s")}
@@ -296,7 +287,7 @@ def test_names_are_not_reexported_by_modules() -> None:
     reexported = {
         (module, alias.name)
         for module, path in FILES.items()
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.ImportFrom) and path.name != "__init__.py"
         for alias in node.names
         if alias.asname == alias.name
@@ -308,7 +299,7 @@ def test_only_cli_prints_or_exits() -> None:
     printing = {
         module
         for module in MODULES
-        for node in ast.walk(tree(module))
+        for node in nodes(module)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute)
         if ast.unparse(node.func) in {"print", "exit", "quit", "sys.exit", "os._exit"}
     }
@@ -343,15 +334,6 @@ def test_type_checking_imports_match_lazy_names() -> None:
     names = {f"pixsim.{module}.{name}" for name, module in pixsim._HOME.items()}
     names |= {f"pixsim.{module}" for module in pixsim._MODULES.values()}
     assert {f"{node.module}.{alias.name}" for node in block.body for alias in node.names} == names
-
-
-def test_version_is_consistent() -> None:
-    assert pixsim.__version__ == version("pixsim")
-    project = Path(__file__).parents[1] / "pyproject.toml"
-    assert (
-        pixsim.__version__
-        == tomllib.loads(project.read_text(encoding="utf-8"))["project"]["version"]
-    )
 
 
 # What the rest of pixsim may take from scene/guard: an inspected scene, and what traces it.

@@ -37,7 +37,7 @@ from pixsim.sensor.reading import Readout
 # of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
 LIMIT_S = 20.0
 NM = np.array([450.0, 550.0, 650.0])
-JUNK: dict[str, Any] = {
+JUNK = {
     "None": None, "empty text": "", "text": "x", "-1": -1, "0": 0, "nan": math.nan, "inf": math.inf, "10**30": 10**30,
     "1e-320": 1e-320, "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/no/such/file"),
     "folder": Path("/tmp"),
@@ -74,7 +74,7 @@ score = cache(lambda: pixsim.evaluate(LIGHT, CAMERA, PIXEL, display=DISPLAY))
 sensor_table = cache(lambda: pixsim.sweep(LIGHT, [PIXEL], camera=CAMERA, display=DISPLAY))
 edge = cache(lambda: pixsim.edge_response(RATIO_ROUNDING))
 # Valid arguments by name; of some functions, by name and argument.
-GOOD: dict[str, Any] = {
+GOOD = {
     "names": ("shot",),
     "message": "x", "path": "a.exr", "name": "0.35um", "wavelength_nm": NM, "band_width_nm": 10.0,
     "pitch_um": 100.0, "data": np.ones((2, 2, 3)), "irradiance": LIGHT, "image": LIGHT, "camera": CAMERA, "pixel": PIXEL,
@@ -109,8 +109,9 @@ GOOD: dict[str, Any] = {
     "exposures": 2, "total_s": 0.1, "quantity": "row_noise_e", "chosen": LensOptions(), "pitches_um": [5.0, 10.0],
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
     "charge_e": 100.0, "contrast": 0.1, "deviation_a_e": 1.0, "deviation_b_e": 1.0,
+    "darker": PLANE, "brighter": PLANE,
 }  # fmt: skip
-OWN: dict[str, Any] = {
+OWN = {
     "pixsim.score_pictures.image": PLANE,
     "pixsim.edge_response.picture": lambda: RATIO_ROUNDING, "pixsim.sfr.image": "edge.npy",
     "pixsim.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
@@ -140,11 +141,15 @@ OWN: dict[str, Any] = {
     "pixsim.sensor.frame_mean_dn.mean_e": 10.0, "pixsim.sensor.frame_variance_dn2.mean_e": 10.0,
 }  # fmt: skip
 # Optional arguments that every call has: without them it takes long, or means nothing.
-ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
-    (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")),
-    ("width", "height"),
-)
-INSTANCES: dict[str, Callable[[], Any]] = {
+ALWAYS = (
+    {"pixsim.SpectralImage": ("data",)}
+    | dict.fromkeys(
+        (f"pixsim.charts.{chart}" for chart in ("csf", "slanted_edge", "siemens_star")),
+        ("width", "height"),
+    )
+    | dict.fromkeys(("pixsim.evaluate", "pixsim.sweep"), ("display",))
+)  # 512 dots are many
+INSTANCES: dict[str, Callable] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "Readout": lambda: READOUT,
     "EdgeResponse": edge, "Scene": scene,
@@ -169,7 +174,7 @@ NOT_CALLED = {
     "pixsim.PixsimError": "takes any text", "pixsim.studies.table.Table": "the rows of a sweep",
 }  # fmt: skip
 ANY_VALUE = {"object", "Any"}
-SMALL_RECORDS: dict[str, dict[str, Any]] = {
+SMALL_RECORDS: dict[str, dict] = {
     "DarkCurrent": {"e_per_s": 1.0, "at_c": 20.0},
     "Axis": {"name": "lens", "set": "camera.f_number", "values": (2.0, 4.0)},
     "AxisValue": {"label": "f/2", "set": {"camera": {"f_number": 2.0}}},
@@ -182,12 +187,12 @@ SMALL_RECORDS: dict[str, dict[str, Any]] = {
 }
 
 
-def function_of(thing: Any) -> Any:
+def function_of(thing):
     """The function of a class method, whose module has the names of its annotations."""
     return getattr(thing, "__func__", thing)
 
 
-def is_target(name: str, thing: Any) -> bool:
+def is_target(name: str, thing) -> bool:
     """Whether it is a function, class or method that takes arguments."""
     if not callable(function_of(thing)) or any(name.startswith(other) for other in NOT_CALLED):
         return False
@@ -208,15 +213,15 @@ def arguments_of(name: str) -> dict[str, inspect.Parameter]:
     }
 
 
-def good(name: str, argument: str) -> Any:
+def good(name: str, argument: str):
     value = OWN.get(f"{name}.{argument}", GOOD.get(argument, inspect.Parameter.empty))
     assert value is not inspect.Parameter.empty, f"no valid value of {argument} of {name}"
     return value() if callable(value) and not isinstance(value, type) else value
 
 
-def required(name: str) -> dict[str, Any]:
+def required(name: str) -> dict:
     """The arguments of a valid call; of a record, the fields of a valid instance."""
-    thing: Any = TARGETS[name]
+    thing = TARGETS[name]
     if inspect.isclass(thing) and issubclass(thing, BaseModel):
         record = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}.get(
             thing.__name__
@@ -234,8 +239,8 @@ def required(name: str) -> dict[str, Any]:
     }
 
 
-def call(name: str, arguments: dict[str, Any]) -> Any:
-    thing: Any = TARGETS[name]
+def call(name: str, arguments: dict):
+    thing = TARGETS[name]
     above, _, method = name.rpartition(".")
     owner = above.rpartition(".")[2]
     if owner[:1].isupper():  # a class
@@ -245,7 +250,7 @@ def call(name: str, arguments: dict[str, Any]) -> Any:
     return thing(**arguments)
 
 
-def is_right(result: Any) -> bool:
+def is_right(result) -> bool:
     """Whether a result has no NaN."""
     if isinstance(result, np.ndarray):
         return result.dtype.kind not in "fc" or not np.isnan(result).any()
@@ -256,7 +261,7 @@ def is_right(result: Any) -> bool:
     return True
 
 
-def kind_is_wrong(hint: str, value: Any) -> bool:
+def kind_is_wrong(hint: str, value) -> bool:
     """Whether a value cannot be meant by an annotation, as text."""
     if value is None:
         return "None" not in hint and "typing.Optional" not in hint and hint not in ANY_VALUE
@@ -266,7 +271,7 @@ def kind_is_wrong(hint: str, value: Any) -> bool:
     return type(value) is object and hint not in ANY_VALUE
 
 
-def names(message: str, argument: str, value: Any) -> bool:
+def names(message: str, argument: str, value) -> bool:
     """Whether a message names an argument, or quotes the value: a file, a choice, or a number out
     of range.
     """
@@ -277,15 +282,14 @@ def names(message: str, argument: str, value: Any) -> bool:
 
 
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def files(here: Path) -> None:
     """The files of `GOOD` in the working folder."""
-    monkeypatch.chdir(tmp_path)
     pixsim.write_exr("a.exr", LIGHT)
     np.save("edge.npy", RATIO_ROUNDING)
     pixsim.write_frame("raw.npz", FRAME)
 
 
-def fault(call: Callable[[], Any], argument: str, junk: Any, annotation: str = "") -> str:
+def fault(call: Callable, argument: str, junk, annotation: str = "") -> str:
     """What is wrong with the end of a call whose argument makes no sense; empty if nothing is.
 
     annotation : of the argument, without bounds. Empty if no value of junk may be taken
@@ -320,7 +324,7 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
     assert not faults, "\n".join(faults)
 
 
-LONG: dict[str, dict[str, Any]] = {
+LONG: dict[str, dict] = {
     "study": {"plan": STUDY, "out": "out"}, "datasheet": {}, "accuracy": {"scene": "csf"}, "lens": {"file": "cooke_triplet"},
     "run": {"scene": "csf"},
 }  # fmt: skip
@@ -331,10 +335,9 @@ TAKEN = {("text", "out"), ("text", "progress"), ("10**30", "scheduler")}
 
 @pytest.mark.parametrize("name", LONG)
 def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, here: Path
 ) -> None:
     """All values of a wrong kind; none of them gets as far as a render, or the trace of a lens."""
-    monkeypatch.chdir(tmp_path)
     function = getattr(pixsim, name)
     faults = []
     for argument, parameter in inspect.signature(function).parameters.items():
@@ -370,9 +373,7 @@ def test_write_of_any_result_names_a_wrong_argument(
         ({"smaller_than_um": [1.0, "x"]}, "smaller_than_um[1]: got 'x'"),
     ],
 )
-def test_a_part_at_fault_is_named_by_its_place(
-    arguments: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_a_part_at_fault_is_named_by_its_place(arguments: dict, said: str, tmp_path: Path) -> None:
     """Also one whose name begins as pydantic's names of kinds do; an array without axes is no
     list.
     """
@@ -408,8 +409,8 @@ def test_a_part_at_fault_is_named_by_its_place(
         ),
     ],
 )
-def test_numbers_that_no_quantity_has_are_refused(kind: Any, values: Any, said: str) -> None:
-    def value_of(light: Any) -> Any:
+def test_numbers_that_no_quantity_has_are_refused(kind, values, said: str) -> None:
+    def value_of(light):
         return light
 
     value_of.__annotations__ = {"light": kind}
@@ -427,7 +428,7 @@ def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> N
     array = TypeAliasType("NDArray", numbers, type_params=(kind,))[np.float64]
     monkeypatch.setattr("numpy.typing.ArrayLike", alias)
 
-    def value_of(light: Any, path: Any = "") -> Any:
+    def value_of(light, path=""):
         return light
 
     for hint in (alias, array, Union[alias, None], Union[array, None], Union[array, float]):  # noqa: UP007

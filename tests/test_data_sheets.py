@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,16 +25,16 @@ from pixsim.studies.prepare import check_technologies, prepare
 from pixsim.studies.sensors import sensor_layer
 from pixsim.viewer.settings_file import packaged_sensors, run_settings, settings_layer
 
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
     "bits": 12, "prnu": 0.01, "offset_fpn": 0.001,
 }  # fmt: skip
 # The same numbers, bit for bit, in the words of a data sheet.
-WORDS: dict[str, Any] = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
+WORDS = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
     "temporal_dark_noise_e": 6.5, "dark_current": {"e_per_s": 125.0, "at_c": 27.0}, "prnu_percent": 1.0, "dsnu_e": 12.0,
 }  # fmt: skip
 # Mismatch of the layout, hot pixels, a split read noise and a gain.
-AMPLIFIED: dict[str, Any] = {
+AMPLIFIED = {
     "pitch_um": 6.0, "full_well_e": 12_000.0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0, "dark_current_e_per_s": 900.0,
     "quantum_efficiency": 0.6, "bits": 12, "prnu_um": 0.06, "dn_per_e": 0.3, "hot_pixel_fraction": 0.01, "hot_pixel_median": 30.0,
     "hot_pixel_spread": 1.0,
@@ -43,7 +42,7 @@ AMPLIFIED: dict[str, Any] = {
 SMALL = "--resolution 48 --display.dots 64 --seed 3"
 
 
-def file_of(path: Path, pixel: dict[str, Any]) -> Path:
+def file_of(path: Path, pixel: dict) -> Path:
     path.write_text(
         "[pixel]\n" + "".join(f"{name} = {toml_of(value)}\n" for name, value in pixel.items()),
         encoding="utf-8",
@@ -51,7 +50,7 @@ def file_of(path: Path, pixel: dict[str, Any]) -> Path:
     return path
 
 
-def options_of(pixel: dict[str, Any], name: str = "--pixel") -> list[str]:
+def options_of(pixel: dict, name: str = "--pixel") -> list[str]:
     words = []
     for key, value in pixel.items():
         option = f"{name}.{key.replace('_', '-')}"
@@ -59,7 +58,7 @@ def options_of(pixel: dict[str, Any], name: str = "--pixel") -> list[str]:
     return words
 
 
-def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
+def ways(pixel: dict, folder: Path) -> dict[str, list[object]]:
     """Arguments of a command that give the sensor as a file, as options, as both, and as two files,
     each with a half of it.
     """
@@ -87,7 +86,7 @@ def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
     ],
 )
 def test_run_same_sensor_in_every_way_gives_same_frame(
-    pixel: dict[str, Any], gain_db: float, names: tuple[str, ...], tmp_path: Path
+    pixel: dict, gain_db: float, names: tuple[str, ...], tmp_path: Path
 ) -> None:
     frames = {}
     line = f"run csf {SMALL} --exposure.gain-db {gain_db} --json"
@@ -280,7 +279,7 @@ def noted(call: Callable[[], object]) -> list[str]:
     ],
     ids=["sheet", "units", "gain"],
 )
-def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) -> None:
+def test_unit_slips_are_noted_by_every_entry(pixel: dict, count: int) -> None:
     slips = unit_slips(pixsim.Pixel(**pixel))
     assert len(slips) == count
     light = pixsim.SpectralImage([550.0], 10.0, 30.0, data=np.full((90, 90, 1), 1e-3))
@@ -300,9 +299,9 @@ def test_unit_slips_are_noted_by_every_entry(pixel: dict[str, Any], count: int) 
 # --- Several sensors
 # ----------------------------------------------------------------------------------------------------
 
-OTHER: dict[str, Any] = SHEET | {"pitch_um": 20.0, "full_well_e": 30000.0, "bits": 14}
+OTHER: dict = SHEET | {"pitch_um": 20.0, "full_well_e": 30000.0, "bits": 14}
 # As many samples, whichever sensor comes first.
-ONE_RENDER: dict[str, Any] = {
+ONE_RENDER = {
     "pitch": {"min_um": 10.0, "max_um": 60.0, "values_um": [15.0, 21.0, 30.0, 42.0, 60.0]}, "tolerance_delta_e": 100.0,
     "scene": {"parameters": {"max_lp_per_mm": 20.0}},
 }  # fmt: skip

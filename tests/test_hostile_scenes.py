@@ -741,7 +741,7 @@ def test_random_scene_is_loaded_or_refused(assets):
 
     @settings(
         derandomize=True,
-        max_examples=150,
+        max_examples=100,
         deadline=None,
         suppress_health_check=list(HealthCheck),
         database=None,

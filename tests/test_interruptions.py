@@ -39,7 +39,8 @@ from pixsim.base.locks import LOCK, UNFINISHED, temporary_folder, unfinished
 from pixsim.report.commands.study import reported_saved_rows
 from pixsim.studies.table import COLUMNS, Store
 
-SMALL = "--resolution 64 --display.dots 64"
+SMALL = "--resolution 48 --display.dots 48"
+EDGE = 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128)))
 LINES = {
     "run": f"run csf {SMALL} --out out",
     "study": "study tiny.toml --jobs 2 --out out",
@@ -60,12 +61,6 @@ proc = pytest.mark.skipif(
 )
 
 
-def environment_in(folder: Path) -> dict[str, str]:
-    """Variables of a process whose temporary files go to `folder`/tmp."""
-    (folder / "tmp").mkdir(exist_ok=True)
-    return os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
-
-
 def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]:
     """A command, or the lines of a script, as the leader of its own process group, whose temporary
     files go to `folder`/tmp.
@@ -78,9 +73,9 @@ def started(line: str, folder: Path, **streams: object) -> subprocess.Popen[str]
     if "\n" in line:
         (folder / "script.py").write_text(line, encoding="utf-8")
         words = [sys.executable, "script.py"]
-    return subprocess.Popen(
-        words, cwd=folder, env=environment_in(folder), start_new_session=True, **pipes
-    )
+    (folder / "tmp").mkdir(exist_ok=True)
+    environment = os.environ | {"TMPDIR": str(folder / "tmp"), "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen(words, cwd=folder, env=environment, start_new_session=True, **pipes)
 
 
 def takes_signals(pid: int) -> bool:
@@ -166,7 +161,7 @@ def moments(
 @pytest.mark.parametrize(
     ("name", "number", "of_group", "delay_s"),
     [
-        *moments(8, 1.5, seed=1)[::2],
+        *moments(8, 1.5, seed=1)[::4],
         # What is wrong during a twentieth of these times is met with a probability of 95 %: 1 -
         # 0.95⁶⁰.
         *(pytest.param(*moment, marks=pytest.mark.slow) for moment in moments(60, 3.0, seed=2)),
@@ -188,7 +183,11 @@ leave(3)
 """
 
 
-@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT", "SIGHUP"])
+# one handler takes them all
+@pytest.mark.parametrize(
+    "number",
+    ["SIGTERM", *(pytest.param(name, marks=pytest.mark.slow) for name in ("SIGINT", "SIGHUP"))],
+)
 def test_signal_after_the_command_keeps_its_exit_code(number: str, tmp_path: Path) -> None:
     """Python clears its modules after it has taken away its handlers: a signal ended the process
     then, with everything written.
@@ -290,7 +289,8 @@ cli.command()
 @pytest.mark.parametrize(
     ("way", "number"),
     [
-        ("imports", signal.SIGINT),
+        # an import that drops it is one of the functions that do
+        pytest.param("imports", signal.SIGINT, marks=pytest.mark.slow),
         ("turns", signal.SIGTERM),
         ("drops", signal.SIGINT),
     ],  # one handler takes both signals
@@ -325,15 +325,15 @@ setattr({owner}, "{name}", interrupted)
 sys.argv = ["pixsim", *"{line}".split()]
 cli.command()
 """
-LENS, LENS_FILES = "lens singlet --out out", {"report.html", "summary.json", FILE_LIST}
+SFR, SFR_FILES = "sfr edge.npy --out out", {"report.html", "summary.json", FILE_LIST}
 
 
 @pytest.mark.parametrize(
     ("line", "place", "files", "code"),
     [
-        (LENS, "files.resolved", set(), 143),  # before the first file is moved
-        (LENS, "os.replace", LENS_FILES, 143),  # while files are moved
-        (LENS, "options.printable", LENS_FILES, 0),  # while the result is printed
+        (SFR, "files.resolved", set(), 143),  # before the first file is moved
+        (SFR, "os.replace", SFR_FILES, 143),  # while files are moved
+        (SFR, "options.printable", SFR_FILES, 0),  # while the result is printed
         ("template sensor -o out/sensor.toml", "pathlib.Path.write_text", set(), 143),
         ("chart siemens_star --width 16 --height 16 -o out/star.exr", "charts.writing", set(), 143),
     ],
@@ -343,6 +343,7 @@ def test_signal_beside_files_leaves_all_or_none(
 ) -> None:
     owner, _, name = place.rpartition(".")
     (tmp_path / "out").mkdir()
+    np.save(tmp_path / "edge.npy", EDGE)
     process = started(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
     out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, bool(out)) == (code, code == 0), err
@@ -493,18 +494,15 @@ def in_use(folder: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("line", [*LINES.values(), "sfr edge.npy --out out"])
-def test_command_refuses_folder_in_use(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
-    np.save("edge.npy", 1 / (1 + np.exp(60 + np.arange(128)[:, None] * 0.1 - np.arange(128))))
-    with in_use(tmp_path / "out"):
-        before = sorted(path.name for path in (tmp_path / "out").rglob("*"))
+def test_command_refuses_folder_in_use(line: str, here: Path) -> None:
+    (here / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    np.save("edge.npy", EDGE)
+    with in_use(here / "out"):
+        before = sorted(path.name for path in (here / "out").rglob("*"))
         assert_refused(
             *command(line), ["output folder: got 'out', in use by another process", "--out"]
         )
-        assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before == [LOCK]
+        assert sorted(path.name for path in (here / "out").rglob("*")) == before == [LOCK]
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
@@ -553,7 +551,8 @@ def test_replacing_at_the_same_time_gives_one_of_the_whole_files(tmp_path: Path)
 @pytest.mark.parametrize(
     ("closed", "full", "line", "code"),
     [
-        ((0,), (), "--version", 0),
+        # the next has it closed beside the others
+        pytest.param((0,), (), "--version", 0, marks=pytest.mark.slow),
         ((0, 1, 2), (), "schema study", 0),
         ((0, 1, 2), (), "schema nothing", 2),
         ((), (1,), "cache", 2),

@@ -14,7 +14,6 @@ import types
 from collections.abc import Sequence
 from importlib.metadata import packages_distributions
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers import systems
@@ -41,7 +40,7 @@ def test_without_shared_memory_one_process_does_all(monkeypatch: pytest.MonkeyPa
     can be made.
     """
 
-    def fails(*_: Any) -> None:
+    def fails(*_) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     monkeypatch.setitem(sys.modules, "_multiprocessing", types.SimpleNamespace(SemLock=fails))
@@ -77,7 +76,7 @@ def test_few_open_files_are_a_message(tmp_path: Path) -> None:
     assert done.returncode == 0 or "ulimit -n" in done.stderr
 
 
-def rendered(answers: Any) -> None:
+def rendered(answers) -> None:
     try:
         pixsim.render(
             pixsim.load_scene("flat", resolution=8, spp=4, variant="scalar_spectral"),
@@ -150,7 +149,7 @@ def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path
     done = python(systems.__file__, systems.WINDOWS, ON_WINDOWS, folder=tmp_path)
     assert done.returncode == 0, done.stderr
     number, refused, *_ = done.stdout.splitlines()
-    here: dict[str, Any] = {}
+    here: dict = {}
     exec(EVALUATED, here)
     assert number == str(here["found"])
     assert float(number) > 0
@@ -174,7 +173,6 @@ command()
 @pytest.mark.slow
 def test_without_what_macos_lacks_light_is_run_into_a_folder(tmp_path: Path) -> None:
     hidden = systems.missing("os", systems.MACOS)
-    assert hidden is not None
     assert {"sched_getaffinity", "memfd_create", "posix_fallocate", "O_PATH"} <= hidden
     done = python(systems.__file__, systems.MACOS, ON_MACOS, folder=tmp_path)
     assert (done.returncode, done.stdout.startswith("mean ΔE ")) == (0, True), done.stderr

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -50,7 +49,7 @@ RECORDS = records()
 NO_NUMBER = (True, "a number or a name")
 
 
-def outside(kind: Table) -> list[tuple[Any, str]]:
+def outside(kind: Table) -> list[tuple[object, str]]:
     """Values that a kind refuses, each with what the message says is allowed."""
     match kind["type"]:
         case "float" | "int" as number:
@@ -92,11 +91,11 @@ def outside(kind: Table) -> list[tuple[Any, str]]:
     return [NO_NUMBER, (math.nan, "")] if kind["type"] == "union" else [NO_NUMBER]
 
 
-Faults = dict[str, tuple[Any, str]]
+Faults = dict[str, tuple[object, str]]
 
 
 def tables(
-    record: type[Record], is_option: Callable[[str, Any], bool]
+    record: type[Record], is_option: Callable[[str, object], bool]
 ) -> Iterator[tuple[Table, Faults]]:
     """Yield tables of a record with up to ten faults, the other fields at their ends."""
     kinds = {name: kind for name, kind in fields(record).items() if is_option(name, None)}
@@ -160,8 +159,8 @@ def test_python_refuses_what_a_field_does_not_allow(record: type[Record]) -> Non
 
 
 def tables_inside(
-    record: type[Record], path: tuple[Any, ...] = ()
-) -> Iterator[tuple[type[Record], Any]]:
+    record: type[Record], path: tuple[object, ...] = ()
+) -> Iterator[tuple[type[Record], object]]:
     """Yield a record and the records in it, with their paths; 0 stands for the first of a list."""
     yield record, path
     for name, kind in fields(record).items():
@@ -176,7 +175,7 @@ def tables_inside(
             yield from tables_inside(part["cls"], (*path, name, 0))
 
 
-def nested(path: tuple[Any, ...], table: Table) -> Any:
+def nested(path: tuple[object, ...], table: Table):
     """A table at its path in a file."""
     for part in reversed(path):
         table = [table] if part == 0 else {part: table}
@@ -193,7 +192,7 @@ class Place:
     """
 
     root: type[Record]
-    path: tuple[Any, ...]
+    path: tuple[object, ...]
     read: Callable[[str], object]
 
     @property
@@ -244,7 +243,7 @@ def test_file_refuses_what_a_field_does_not_allow(record: type[Record], tmp_path
     place = PLACES[record]
     where = f"FILE: {place.words}"
 
-    def is_entry(name: str, value: Any) -> bool:
+    def is_entry(name: str, value) -> bool:
         """Whether it is an entry of a technology's file."""
         kind = fields(record)[name]["type"]
         return place.root is not pixsim.Technology or kind not in ("dict", "model")
@@ -267,7 +266,7 @@ LINES = {record: "run csf" for record, place in PLACES.items() if place.root is 
 OTHER_OPTIONS = {"--window-mm": "--window", "--lens.file": "--lens", "--noise-budget": "a flag"}
 
 
-def is_refused_text(kind: str, value: Any) -> bool:
+def is_refused_text(kind: str, value) -> bool:
     """Whether the text of a value is refused as the value is. Infinity is left out, as one of many
     large numbers.
     """
@@ -279,11 +278,8 @@ def is_refused_text(kind: str, value: Any) -> bool:
 
 
 @pytest.mark.parametrize("record", LINES, ids=lambda record: record.__name__)
-def test_command_line_refuses_what_a_field_does_not_allow(
-    record: type[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_line_refuses_what_a_field_does_not_allow(record: type[Record], here: Path) -> None:
     """The value of an option is a text. Nothing is written."""
-    monkeypatch.chdir(tmp_path)
     line, where = LINES[record], PLACES[record].words
     _, options = names_of(line.split()[0])
     option_names = {name: f"--{where}{name}".replace("_", "-") for name in fields(record)}
@@ -293,7 +289,7 @@ def test_command_line_refuses_what_a_field_does_not_allow(
 
     record_lists = {path[0] for _, path in tables_inside(record) if path and path[-1] == 0}
 
-    def is_option(name: str, value: Any) -> bool:
+    def is_option(name: str, value) -> bool:
         kind = fields(record)[name]["type"]
         if option_names[name] not in options or kind == "model" or name in record_lists:
             return False
@@ -312,7 +308,7 @@ def test_command_line_refuses_what_a_field_does_not_allow(
     if f"Unknown option: --{where}no-such-name" not in err:
         misses.append(f"no-such-name = 1: got '{err}'")
     assert not misses, "\n".join(misses)
-    assert list(tmp_path.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 # --- At the ends

@@ -555,6 +555,15 @@ def datasheet(
         str | None,
         common.field_option(Run, "seed", help="Seed of the sensor and its noise [default: 0]."),
     ] = None,
+    general: Annotated[
+        bool,
+        Parameter(
+            help=(
+                "Measure by EMVA 1288 General, too: the characteristic curve, and SNR at its input;"
+                " for pixels of several readings and companded codes."
+            )
+        ),
+    ] = False,
     figures: common.FigureFiles = "svg",
     out: Out = None,
     json: Json = False,
@@ -566,6 +575,8 @@ def datasheet(
     Example: pixsim datasheet my_sensor.toml
 
     Example: pixsim datasheet --pixel.technology 4t-bsi --pixel.pitch-um 1.2 --seed 1
+
+    Example: pixsim datasheet ovt_split_2p8um --general
 
     Simulates a photon-transfer experiment with one sensor of 200 × 200 pixels: 50 pairs of frames
     from dark to beyond saturation, stacks for the spatial terms, dark series over time and
@@ -587,6 +598,7 @@ def datasheet(
             stage=stage,
             wavelength_nm=wavelength_nm,
             seed=settings.seed,
+            general=general,
         )
 
     write_answer(

@@ -299,6 +299,7 @@ Metrics = Annotated[
         name=("--metrics", "--metric"),
         help=(
             "Score by this metric: delta_e, detectability, npwe, information, acutance,"
+            " contrast_detection_probability,"
             " visual_noise, mtf50, snr10_lx, niirs, flip. Several as delta_e,information; the"
             " headline has the first one [default: delta_e]."
         ),

@@ -23,11 +23,11 @@ from pixsim.base.errors import invalid
 from pixsim.light.spectral import photons_per_joule
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant
 from pixsim.measure.estimators import Estimate, Frames
-from pixsim.measure.experiment import Experiment
+from pixsim.measure.experiment import Experiment, read_linear
 from pixsim.sensor.collection import ColourCollection, collections_of, emva_illumination
 from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
+from pixsim.sensor.readout import frame_variance_dn2, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
 from pixsim.viewer.develop import ColourChart, check_separable, product
 from pixsim.viewer.develop_options import DEVELOP
@@ -262,7 +262,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     def capture(name: str, signals_e: Array) -> list[Frames]:
         mean_e = channel_map(signals_e, layout, shape)
         return [
-            read_out(mean_e, time_s, sensor, stream("datasheet", experiment.seed, name, index))
+            read_linear(mean_e, time_s, sensor, stream("datasheet", experiment.seed, name, index))
             for index in range(PAIRS)
         ]
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Positive, Whole
@@ -32,6 +33,7 @@ from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
 from pixsim.measure.estimators import (
     QUANTISATION_DN2,
+    CharacteristicCurve,
     Estimate,
     FrameStack,
     Linearity,
@@ -48,7 +50,7 @@ from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
-from pixsim.sensor.reading import Readout
+from pixsim.sensor.reading import Readout, with_merge
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.viewer.imaging import Imaging
@@ -139,6 +141,7 @@ class DataSheet(Result):
     grey : (frames, rows, columns) at 13 % of saturation, DN
     grey_photons, bright_photons : per pixel, of `grey` and `bright_stack`
     channels : of a colour sensor, the light series of its other channels
+    output : of the characteristic curve, over photons per pixel, the first pair dark; or None
     colour : fields of a chart on a colour sensor; its problem in words if their colours cannot be
         told apart, or None if monochrome
     """
@@ -156,6 +159,7 @@ class DataSheet(Result):
     bright_photons: float
     channels: dict[str, tuple[Experiment, PhotonTransfer]] = field(default_factory=dict, repr=False)
     colour: Colour | str | None = None
+    output: PairSeries | None = field(default=None, repr=False)
 
     @property
     def pixels(self) -> int:
@@ -270,6 +274,38 @@ class DataSheet(Result):
             self.experiment.photons, self.expected[0], self.transfer.saturation_index
         )
 
+    @cached_property
+    def curve(self) -> CharacteristicCurve | None:
+        """The characteristic curve of EMVA 1288 General, if it was measured."""
+        if self.output is None:
+            return None
+        row_noise = _row_noise(self.experiment)
+        if self.experiment.is_merged:
+            row_noise = row_noise.in_electrons(self.experiment.readout.dn_per_e)
+        return estimators.characteristic_curve(self.output, self.pixels, row_noise)
+
+    def true_snr(self, photons: Array, *, total: bool = False) -> Array:
+        """Return the signal-to-noise ratio by the closed form of all readings at photons per pixel,
+        (n,), which holds below saturation.
+
+        total : with the fixed pattern
+        """
+        e = self.experiment
+        readout = e.whole.readout
+        signal_e = photons * e.efficiency
+        variance_dn2 = frame_variance_dn2(signal_e, e.integration_s, readout, total)
+        return np.asarray(signal_e * readout.dn_per_e / np.sqrt(variance_dn2))
+
+    @cached_property
+    def true_saturation_p(self) -> float:
+        """Number of photons per pixel at which the expected variance of the last reading peaks."""
+        e = self.experiment
+        assert self.output is not None
+        last = with_merge(e.whole.readout).readings[-1]
+        e_per_photon = last.response * e.efficiency
+        brightest_e = e_per_photon * float(self.output.at[-1])
+        return variance_peak_e(last.readout, e.integration_s, brightest_e) / e_per_photon
+
     @property
     def full_in_the_dark(self) -> float:
         """The fraction of hot pixels whose dark charge alone saturates them at the longest time of
@@ -293,6 +329,7 @@ class DataSheet(Result):
             *_noise_entries(self),
             *_speed_entries(self),
             *_colour_entries(self),
+            *_general_entries(self),
         ]
 
     def __repr__(self) -> str:
@@ -316,6 +353,7 @@ def datasheet(
     exposure: Exposure | Mapping[str, Any] | None = None,
     wavelength_nm: Positive | None = None,
     seed: Whole | None = None,
+    general: bool = False,
     progress: Stage | None = None,
 ) -> DataSheet:
     """Measure one simulated sensor of a pixel by EMVA 1288, ISO 15739 and ISO 12232, beside the
@@ -329,6 +367,8 @@ def datasheet(
         fields; by default 30 ms, or less where the dark current is high
     wavelength_nm : of the light; by default the peak of the response
     seed : of the sensor and its noise, by default as in `config`, or 0
+    general : whether to measure by EMVA 1288 General, too: the characteristic curve, and SNR at
+        its input. Pixels of several readings and companded codes need it
     progress : returns a callback for each named stage
 
     Raises PixsimError for invalid input, and if the pixel's codes are so coarse that no frame shows
@@ -346,6 +386,7 @@ def datasheet(
         stage=progress,
         wavelength_nm=wavelength_nm,
         seed=settings.seed,
+        general=general,
     )
 
 
@@ -453,11 +494,13 @@ def measure(
         )
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
-    def pairs(name: str, photons: Array, channel: Experiment = experiment) -> PairSeries:
+    def pairs(
+        name: str, photons: Array, frames: Callable[..., Iterator[NDArray[Any]]] = experiment.frames
+    ) -> PairSeries:
         report_fraction = report_progress(name)
         measured = []
         for index, level in enumerate(photons.tolist()):
-            first, second = channel.frames(2, level, name, index)
+            first, second = frames(2, level, name, index)
             measured.append(estimators.pair(first, second))
             report_fraction((index + 1) / photons.size)
         return estimators.series(photons, measured)
@@ -484,12 +527,18 @@ def measure(
         if letter == experiment.physics.channel:
             continue
         channel_experiment = experiment.for_channel(letter, wavelength_nm)
-        channel_light = pairs(f"channel {letter}", channel_experiment.photons, channel_experiment)
+        channel_light = pairs(
+            f"channel {letter}", channel_experiment.photons, channel_experiment.frames
+        )
         row_noise = _row_noise(channel_experiment)
         transfer = estimators.photon_transfer(
             channel_light, dark.mean_dn, dark.variance_dn2, pixels, spread, row_noise
         )
         channels[letter] = channel_experiment, transfer
+
+    output = None
+    if experiment.general_photons is not None:
+        output = pairs("characteristic", experiment.general_photons, experiment.outputs)
 
     report_progress("dark series")
     return DataSheet(
@@ -509,6 +558,7 @@ def measure(
         bright_photons=bright,
         channels=channels,
         colour=_colour(experiment, spread),
+        output=output,
     )
 
 
@@ -525,6 +575,7 @@ def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
 
 
 EMVA = "EMVA 1288"
+GENERAL = "EMVA 1288 General, formulae from memory"
 NOISE = "ISO 15739"
 SPEED = "ISO 12232"
 COLOUR = f"ISO 17321-1 and noise in colour, illuminant {colours.LAMP}"
@@ -584,6 +635,7 @@ def _entry(
 
 
 _emva_entry = partial(_entry, EMVA)
+_general_entry = partial(_entry, GENERAL)
 _noise_entry = partial(_entry, NOISE)
 _speed_entry = partial(_entry, SPEED)
 _colour_entry = partial(_entry, COLOUR)
@@ -1062,4 +1114,70 @@ def _speed_entries(sheet: DataSheet) -> list[Entry]:
             _speed_entry(name, f"S_noise{snr:g}", "", speed, true, f"10 / H_S/N; {daylight}", note)
         )
 
+    return entries
+
+
+def _general_entries(sheet: DataSheet) -> list[Entry]:
+    """EMVA 1288 General: range and largest values of the signal-to-noise ratio at the input."""
+    curve = sheet.curve
+    if curve is None:
+        return []
+    true_curve = replace(
+        curve,
+        snr=sheet.true_snr(curve.photons),
+        total_snr=sheet.true_snr(curve.photons, total=True),
+    )
+    names = {"snr": ("SNR_p", "temporal noise"), "total_snr": ("SNR_total", "total noise")}
+    saturation_p = curve.saturation_p
+    limited = "quantisation-limited: codes hide the noise" if sheet.transfer.limited else ""
+    passing = (
+        "the standard error leaves out the few full readings that pass as valid"
+        if sheet.experiment.is_merged
+        else ""
+    )
+    entries = [
+        _general_entry(
+            "saturation",
+            "μ_p.sat.general",
+            "p",
+            saturation_p,
+            sheet.true_saturation_p,
+            "peak of the model's expected variance of the last reading",
+            "standard error: one exposure step",
+        )
+    ]
+    for field_name, (symbol, noise) in names.items():
+        snr = getattr(curve, field_name)
+        true_snr = getattr(true_curve, field_name)
+        threshold_p = curve.threshold_p(snr)
+        true_p = true_curve.threshold_p(true_snr).value
+        entries += [
+            _general_entry(
+                f"threshold, {noise}",
+                f"μ_p.min.{symbol}",
+                "p",
+                threshold_p,
+                true_p,
+                f"{symbol} of the parameters is 1",
+                limited,
+            ),
+            _general_entry(
+                f"dynamic range, {noise}",
+                f"DR.{symbol}",
+                "dB",
+                _decibel(saturation_p / threshold_p),
+                20 * math.log10(sheet.true_saturation_p / true_p),
+                "saturation / threshold",
+                limited,
+            ),
+            _general_entry(
+                f"maximum signal-to-noise ratio, {noise}",
+                f"{symbol}.max",
+                "dB",
+                _decibel(curve.largest(snr)),
+                _decibel(true_curve.largest(true_snr)).value,
+                "largest by the parameters up to saturation",
+                passing,
+            ),
+        ]
     return entries

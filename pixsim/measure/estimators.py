@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class Pair(NamedTuple):
     frame_variance_dn2: float
 
 
-def pair(first: Frames, second: Frames) -> Pair:
+def pair(first: NDArray[Any], second: NDArray[Any]) -> Pair:
     """Mean and temporal variance from two frames, free of fixed pattern and drift (EMVA 1288,
     section 6.6).
     """
@@ -112,6 +112,7 @@ def series(at: Array, pairs: list[Pair]) -> PairSeries:
 _SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
 _LINEARITY_SHARES = 0.05, 0.95  # of saturation
 QUANTISATION_DN2 = 1 / 12
+TINY = 1e-300
 _LIMITED_DN2 = 0.24  # temporal dark variance below which quantisation dominates (section 6.6)
 
 
@@ -161,6 +162,10 @@ class RowNoise:
     def in_frames(self, count: int) -> RowNoise:
         """Return the noise of the rows of several frames together."""
         return replace(self, rows=count * self.rows)
+
+    def in_electrons(self, dn_per_e: float) -> RowNoise:
+        """Return the noise in electrons."""
+        return replace(self, variance_dn2=self.variance_dn2 / dn_per_e**2)
 
     def in_mean(self, frames: int) -> RowNoise:
         """Return the noise of the rows of a mean of frames."""
@@ -255,17 +260,21 @@ class PhotonTransfer:
         return self.saturation_p / self.threshold_p
 
 
-def saturation_index(variance_dn2: Array) -> int:
+def saturation_index(variance_dn2: Array, is_regular: NDArray[np.bool_] | None = None) -> int:
     """Index of the peak of the temporal variance: the saturation of EMVA 1288, section 6.6.
 
     The scan starts at the brightest exposure, as in the standard. It returns the first peak that
-    exceeds the two next dimmer exposures and half of the largest value: beyond saturation the
-    variance is small and irregular. Without such a peak it returns the largest value.
+    exceeds the two next dimmer exposures where it is regular: beyond saturation the variance is
+    small and irregular. Without such a peak it returns the largest value.
+
+    is_regular : (n,) which exposures may be the peak; None for those above half of the largest
     """
     v = variance_dn2
+    if is_regular is None:
+        is_regular = v > v.max() / 2
     for index in range(len(v) - 2, 1, -1):
         is_peak = v[index] >= v[index + 1] and v[index] > max(v[index - 1], v[index - 2])
-        if is_peak and v[index] > v.max() / 2:
+        if is_peak and is_regular[index]:
             return index
     return int(np.argmax(v))
 
@@ -363,6 +372,85 @@ def linearity(photons: Array, signal_dn: Array, saturated: int) -> Linearity:
     inside = deviation[within]
     return Linearity(
         deviation, within, float(np.abs(inside).mean()), float(inside.min()), float(inside.max())
+    )
+
+
+_MIN_SNR = 0.03  # at saturation, over the largest: switches of readings cost up to 20 dB
+_MAX_BEND = 1.5  # of the steps at both sides of an exposure; at a knee the flatter one is its slope
+
+
+@dataclass(frozen=True)
+class CharacteristicCurve:
+    """The output of a sensor against light, and the signal-to-noise ratio at its input (EMVA 1288
+    General): SNR_p = μ_p (dμ_y/dμ_p)/σ_y. Of a linear sensor it is that of its output.
+
+    photons : (n,) per pixel, rising
+    signal : (n,) mean output minus the dark, DN or electrons
+    snr, total_snr : (n,) with temporal noise, and with the spatial deviation in quadrature
+    error : (n,) standard error of snr over it
+    saturation_index : of the brightest peak of the variance
+    """
+
+    photons: Array
+    signal: Array
+    snr: Array
+    total_snr: Array
+    error: Array
+    saturation_index: int
+
+    @property
+    def saturation_p(self) -> Estimate:
+        """Largest usable exposure; its standard error is an exposure step."""
+        index = self.saturation_index
+        return Estimate(
+            float(self.photons[index]), float(self.photons[index] - self.photons[index - 1])
+        )
+
+    def threshold_p(self, snr: Array) -> Estimate:
+        """Lowest exposure of a ratio of 1; NaN if it is not reached.
+
+        snr : (n,), one of the two
+        """
+        error = float(self.error[int(np.argmax(snr >= 1))])
+        value = exposure_at_snr(self.photons, snr, np.ones_like(snr), 1.0, 0.0).value
+        return Estimate(value, value * error)  # noise of both neighbours is in the slope between
+
+    def largest(self, snr: Array) -> Estimate:
+        """Largest ratio up to saturation."""
+        index = int(np.argmax(snr[: self.saturation_index + 1]))
+        return Estimate(float(snr[index]), float(snr[index] * self.error[index]))
+
+
+def characteristic_curve(
+    output: PairSeries, pixels: int, row_noise: RowNoise = _NO_ROW_NOISE
+) -> CharacteristicCurve:
+    """Return the characteristic curve of a series of pairs, whose first exposure is dark.
+
+    row_noise : for the standard errors
+    """
+    photons, mean, variance, frame_variance = (values[1:] for values in output)
+    slope = np.gradient(mean, photons)
+    steps = np.diff(mean) / np.diff(photons)
+    flatter = np.minimum(steps[1:], steps[:-1])
+    is_knee = np.maximum(steps[1:], steps[:-1]) > _MAX_BEND * flatter
+    slope[1:-1][is_knee] = flatter[is_knee]
+    rising = photons * np.maximum(slope, 0.0)
+
+    def ratio(squared: Array) -> Array:
+        return np.asarray(rising / np.sqrt(np.where(squared > 0, squared, math.inf)))
+
+    # The slope is that between the two neighbours, and so is its error.
+    distance_p = math.sqrt(2) * np.gradient(photons)
+    slope_error = mean_error(variance, pixels, row_noise) / distance_p / np.maximum(slope, TINY)
+    noise_error = variance_error(1.0, pixels) / 2
+    snr = ratio(variance)
+    return CharacteristicCurve(
+        photons=photons,
+        signal=mean - output.mean_dn[0],
+        snr=snr,
+        total_snr=ratio(frame_variance),
+        error=np.hypot(slope_error, noise_error),
+        saturation_index=saturation_index(variance, snr > _MIN_SNR * snr.max()),
     )
 
 
@@ -470,7 +558,6 @@ SATURATION_SPEED_LX_S = 78.0
 NOISE_SPEED_LX_S = 10.0  # ISO 12232: S = 10/H, with H at the given S/N
 SIGNAL_TO_NOISE = 40.0, 10.0  # "first excellent" and "first acceptable" picture
 _MIN_FRAMES = 8
-TINY = 1e-300
 _DAYLIGHT_NM = np.arange(360.0, 831.0)
 
 

@@ -14,8 +14,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
@@ -29,13 +31,23 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import MAX_BLACK_SHARE, PixelPhysics, derive
 from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Readout, dark_spread_e, least_black_level_dn
-from pixsim.sensor.readout import Sensor, read_out, sample_sensor
+from pixsim.sensor.reading import Readout, dark_spread_e, least_black_level_dn, with_all, with_merge
+from pixsim.sensor.readout import (
+    Sensor,
+    frame_variance_dn2,
+    read_electrons,
+    read_out,
+    sample_sensor,
+)
 from pixsim.sensor.technology import load_technology
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 MIN_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
 EXPOSURES = 50  # the minimum of EMVA 1288, section 6.5
+# Of the characteristic curve: exposures a decade, up to where steps of the light series are finer.
+_PER_DECADE = 16
+_FIRST_FINE = 7
+_LOWEST_SNR = 0.3
 _DIM_EXPOSURES = 12  # more, at equal ratios below the first: ISO 12232 needs the exposure of S/N 10
 # Of the light that fills the well, so that the series spans the peak of the variance.
 _BEYOND_SATURATION = 1.1
@@ -59,15 +71,20 @@ class Experiment:
     """The sensor and the exposures of a photon-transfer experiment.
 
     All pixels of a colour sensor have the filter of its most frequent channel: EMVA 1288 measures
-    each channel separately.
+    each channel separately. Of pixels that are read several times, the linear experiment has the
+    most sensitive reading.
 
+    sensor : of the linear experiment
+    whole : the same device with all its readings
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
+    general_photons : (n,) of the characteristic curve, rising, the first one 0; None without it
     stated_black_dn : black level in the user's settings, or None if they state none; the level of
         the sensor's ADC is used
     """
 
     sensor: Sensor = field(repr=False)
+    whole: Sensor = field(repr=False)
     wavelength_nm: float
     integration_s: float
     photons: Array = field(repr=False)
@@ -77,6 +94,7 @@ class Experiment:
     stated_black_dn: float | None
     stack_frames: int = STACK
     seed: int = 0
+    general_photons: Array | None = field(default=None, repr=False)
 
     @property
     def readout(self) -> Readout:
@@ -103,10 +121,27 @@ class Experiment:
     def frame(
         self, photons: float, integration_s: float, *key: object, sensor: Sensor | None = None
     ) -> Frames:
-        """One frame of the device, (rows, columns) DN; the key names its random stream."""
+        """One frame of the device, (rows, columns) linear DN; the key names its random stream."""
         exposed = sensor or self.sensor
         mean_e = np.full(exposed.shape, photons * self.efficiency)
-        return read_out(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
+        return read_linear(mean_e, integration_s, exposed, stream("datasheet", self.seed, *key))
+
+    def outputs(self, count: int, photons: float, *key: object) -> Iterator[NDArray[Any]]:
+        """Frames as the device hands them on, (rows, columns): merged electrons of several
+        readings, or codes, companded if its ADC does so.
+        """
+        mean_e = np.full(self.whole.shape, photons * self.efficiency)
+        for index in range(count):
+            rng = stream("datasheet", self.seed, *key, index)
+            if self.is_merged:
+                yield read_electrons(mean_e, self.integration_s, self.whole, rng)
+            else:
+                yield read_out(mean_e, self.integration_s, self.sensor, rng)
+
+    @property
+    def is_merged(self) -> bool:
+        """Whether the device hands on the merge of several readings."""
+        return len(self.whole.readout.readings) > 1
 
     def for_channel(self, letter: str, wavelength_nm: float | None) -> Experiment:
         """The light series of the same device under the filter of another channel, to the same
@@ -158,6 +193,15 @@ class Experiment:
             derive(pixel, device.technology), full_well_e=device.full_well_e, channel=device.channel
         )
         return replace(self.sensor, readout=replace(self.readout, physics=warm))
+
+
+def read_linear(
+    mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator
+) -> Frames:
+    """Return the frame of `read_out`, whose companded codes are decoded to whole linear DN."""
+    dn = read_out(mean_e, integration_s, sensor, rng)
+    adc = sensor.readout.adc
+    return dn if adc.knees is None else np.rint(adc.levels_of(dn)).astype(np.int32)
 
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
@@ -273,6 +317,20 @@ def _filling_light_e(readout: Readout, integration_s: float) -> float:
     return float(grid[full[0]] if full.size else grid[-1]) - dark_e
 
 
+def _general_photons(readout: Readout, integration_s: float, efficiency: float) -> Array:
+    """Return the photons of a characteristic curve: 0, equal ratios from below an SNR of 1, and
+    equal steps to beyond the saturation of the last reading.
+    """
+    last = with_merge(readout).readings[-1]
+    filling_e = _filling_light_e(last.readout, integration_s) / last.response
+    steps_e = _BEYOND_SATURATION * filling_e * np.arange(_FIRST_FINE, EXPOSURES + 1) / EXPOSURES
+    dark_dn2 = float(frame_variance_dn2(0.0, integration_s, readout, fixed_pattern=False))
+    lowest_e = min(_LOWEST_SNR * math.sqrt(dark_dn2) / readout.dn_per_e, steps_e[0] / 2)
+    count = math.ceil(_PER_DECADE * math.log10(steps_e[0] / lowest_e))
+    dim_e = np.geomspace(lowest_e, steps_e[0], count, endpoint=False)
+    return np.concatenate([[0.0], dim_e, steps_e]) / efficiency
+
+
 def dark_times_s(readout: Readout, integration_s: float) -> Array:
     """Equally spaced integration times, until dark charge fills a fifth of the well, at most an
     hour.
@@ -303,6 +361,7 @@ def make_experiment(
     shape: tuple[int, int] = SHAPE,
     exposures: int = EXPOSURES,
     stack_frames: int = STACK,
+    general: bool = False,
 ) -> Experiment:
     """One simulated device of a pixel, sampled from the seed, and its exposures.
 
@@ -313,9 +372,10 @@ def make_experiment(
     wavelength_nm : of the light; by default the peak of the response
     shape : (rows, columns) pixels
     exposures : light levels, equally spaced from dark to 1.1 times what fills the well
+    general : whether the characteristic curve of EMVA 1288 General is measured, too
 
-    Raises PixsimError for a wavelength without response, for too few bits for the black level, and
-    for too few pixels.
+    Raises PixsimError for a wavelength without response, for too few bits for the black level, for
+    too few pixels, and for a pixel of several readings or companded codes without `general`.
     """
     if min(shape) < MIN_SIDE:
         raise invalid(
@@ -330,14 +390,23 @@ def make_experiment(
     if exposure.gain_db == "auto":
         raise invalid("exposure.gain_db", "'auto'", "one gain in dB for all frames of the test")
     stated = Readout.of(physics).amplified(exposure.gain_db)
-    time_s = _usual_integration_s(stated, exposure)
-    readout = with_black_level(stated, time_s)
+    readings = [reading.readout for reading in stated.readings]
+    if readings and not general:
+        names = ", ".join(reading.name for reading in stated.readings)
+        hint = f"Use {setting('general')} for the characteristic curve of EMVA 1288 General."
+        got = f"the readings {names}" if len(readings) > 1 else "companded codes"
+        raise invalid("pixel", got, "one reading in linear codes", hint)
+    time_s = _usual_integration_s([*readings, stated][0], exposure)
+    whole = with_all(stated, lambda reading: with_black_level(reading, time_s))
+    readout = whole.readings[0].readout if readings else whole
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
     efficiency = _checked_efficiency(physics, nm)
     brightest = _BEYOND_SATURATION * _filling_light_e(readout, time_s) / efficiency
     photons = brightest * np.arange(1, exposures + 1) / exposures
+    device = sample_sensor(whole, shape, stream("datasheet", seed, "sensor"))
     return Experiment(
-        sensor=sample_sensor(readout, shape, stream("datasheet", seed, "sensor")),
+        sensor=replace(device, readout=readout, further=()),
+        whole=device,
         wavelength_nm=nm,
         integration_s=time_s,
         photons=photons,
@@ -345,8 +414,9 @@ def make_experiment(
             min(1.0 / efficiency, photons[0] / 2), photons[0], _DIM_EXPOSURES, endpoint=False
         ),
         dark_times_s=dark_times_s(readout, time_s),
-        temperatures_k=temperatures_k(pixel),
+        temperatures_k=() if readings else temperatures_k(pixel),
         stated_black_dn=pixel.black_level_dn,
         stack_frames=stack_frames,
         seed=seed,
+        general_photons=_general_photons(whole, time_s, efficiency) if general else None,
     )

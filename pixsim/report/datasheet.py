@@ -36,6 +36,7 @@ MAPS = {
     "prnu": "response, deviation from the mean (%)",
 }
 FIGURES = (
+    "characteristic_curve",
     "photon_transfer",
     "responsivity",
     "snr",
@@ -74,6 +75,53 @@ def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
     }
     return draw_panels(
         table, [LinePanel(_SIGNAL, "temporal variance minus dark (DN²)", lines, marks)]
+    )
+
+
+@figure(
+    "characteristic_curve",
+    "Output against light, and the signal-to-noise ratio at the input. The dynamic range lies"
+    " between the vertical lines.",
+)
+def _characteristic_plate(sheet: DataSheet) -> Drawing:
+    """Draw the characteristic curve and its SNR against photons, on logarithmic axes."""
+    curve = sheet.curve
+    assert curve is not None
+    is_below = curve.photons <= sheet.true_saturation_p
+    table = {
+        "photons_p": curve.photons,
+        "signal": curve.signal,
+        "snr_p": curve.snr,
+        "snr_total": curve.total_snr,
+        "snr_p_model": np.where(is_below, sheet.true_snr(curve.photons), np.nan),
+        "snr_total_model": np.where(is_below, sheet.true_snr(curve.photons, total=True), np.nan),
+    }
+    output = Line("photons_p", "signal", "measured", POINTS)
+    ratios = (
+        Line("photons_p", "snr_p", "measured, temporal noise", POINTS),
+        Line("photons_p", "snr_total", "measured, total noise with fixed pattern", POINTS),
+        Line("photons_p", "snr_p_model", "model, temporal noise"),
+        Line("photons_p", "snr_total_model", "model, total noise"),
+    )
+    unit = "e⁻" if sheet.experiment.is_merged else "DN"
+    marks = {
+        "μ_p.min, where the SNR is 1": curve.threshold_p(curve.snr).value,
+        "μ_p.sat": curve.saturation_p.value,
+    }
+    logarithmic = {"xscale": "log", "yscale": "log"}
+    return draw_panels(
+        table,
+        [
+            LinePanel(_PHOTONS, f"mean output minus dark ({unit})", (output,), axes=logarithmic),
+            LinePanel(
+                _PHOTONS,
+                "SNR at the input",
+                ratios,
+                marks,
+                logarithmic | {"ylim": (0.1, None)},
+                "lower right",
+            ),
+        ],
     )
 
 
@@ -294,6 +342,7 @@ def _profile_plate(sheet: DataSheet) -> Drawing:
 # temperature
 ROUNDING = 1e-8
 _HEADLINE = ("K", "η", "σ_d", "μ_e.sat")  # symbols
+_MERGED_HEADLINE = ("μ_p.min.SNR_p", "μ_p.sat.general", "DR.SNR_p", "SNR_p.max")
 
 
 def sheet_name(pixel: Pixel) -> str:
@@ -319,7 +368,8 @@ def _datasheet_answer(sheet: DataSheet) -> Answer:
     readout = experiment.readout
     entries = {entry.symbol: entry for entry in sheet.entries}
     values = ", ".join(
-        f"{symbol} {_measured_text(entries[symbol])} {entries[symbol].unit}" for symbol in _HEADLINE
+        f"{symbol} {_measured_text(entries[symbol])} {entries[symbol].unit}"
+        for symbol in (_MERGED_HEADLINE if experiment.is_merged else _HEADLINE)
     )
     filters = f", filters {physics.layout}" if physics.layout else ""
     channel = f" on channel {physics.channel}" if physics.channel else ""
@@ -367,6 +417,17 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     pixel = experiment.pixel
     readout = experiment.readout
     texts = []
+    if experiment.is_merged:
+        first, *others = (reading.name for reading in experiment.whole.readout.readings)
+        texts.append(
+            f"EMVA 1288 General is that of the merge of {first} and {', '.join(others)}; all other"
+            f" values are those of the reading {first}"
+        )
+    if readout.adc.knees is not None:
+        texts.append(
+            "companded codes are decoded to linear DN, but for EMVA 1288 General; variances contain"
+            " their rounding"
+        )
     if experiment.stated_black_dn not in (None, pixel.black_level_dn):
         texts.append(
             f"black level raised from {experiment.stated_black_dn:g} to"
@@ -453,7 +514,8 @@ def datasheet_document(sheet: DataSheet) -> Document:
     ones, further figures.
     """
     notes = datasheet_notes(sheet)
-    transfer, *others = (Plot(partial(draw_plate, sheet)) for draw_plate in _PLATES)
+    plates = _PLATES if sheet.curve is None else (_characteristic_plate, *_PLATES)
+    first, *others = (Plot(partial(draw_plate, sheet)) for draw_plate in plates)
     pixel = sheet.experiment.pixel.model_dump(exclude_defaults=True, exclude_none=True)
     settings = pairs("pixel", {name: setting_value(value) for name, value in pixel.items()})
     values = DocumentTable(
@@ -465,7 +527,7 @@ def datasheet_document(sheet: DataSheet) -> Document:
         title=f"Data sheet of {sheet.experiment.pixel.pitch_um:g} µm pixels",
         data=_datasheet_data(sheet, notes),
         answers=(_datasheet_answer(sheet),),
-        lead=(transfer, *notes),
+        lead=(first, *notes),
         sections=(
             Section("values", "Measured and true values", (values,), brief=True),
             Section("figures", "Figures", others),

@@ -34,6 +34,7 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words, whole_picture
 from pixsim.report.score import judged_by_delta_e, score_plate, shown_mean
 from pixsim.report.settings import UNSTATED_NOISE, scene_rows, settings_blocks, settings_tables
+from pixsim.report.snr import SNR, snr_section
 from pixsim.report.target import enlarged, marked, place_of
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
@@ -71,7 +72,7 @@ from pixsim.show.pictures import delta_e_png, factor_for, light_png, scale, scal
 from pixsim.show.presenter import Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_copy, scene_table, settings_text, stated_settings
-from pixsim.studies.merit import detail_terms, extent, run_neq
+from pixsim.studies.merit import detail_terms, extent, run_neq, run_snr
 from pixsim.studies.run import RunResult, Threshold
 from pixsim.studies.table import ROWS_FILE, Store
 from pixsim.viewer.causes import SATURATED_SHOWN
@@ -190,7 +191,7 @@ class RunFiles(NamedTuple):
             for number in range(1, frames + 1)
             for suffix in self.formats
         }
-        figures = figure_files([NEQ, *[NAME] * self.noise_budget])
+        figures = figure_files([NEQ, SNR, *[NAME] * self.noise_budget])
         return {PAGE, *FILES, *raw, *figures} - (
             {"irradiance.exr"} if self.irradiance == "none" else set()
         )
@@ -219,7 +220,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         answers=(answer,),
         lead=(Plot(lambda: score_plate(result.score)), *facts(result), *new_notes),
         about=(DELTA_E_WORDS,) if has_delta_e else (),
-        sections=(budgets_section(_budgets_of(result)),),
+        sections=(snr_section(run_snr(result)), budgets_section(_budgets_of(result))),
         data_file="score.json",
     )
 

@@ -89,6 +89,9 @@ def record_rows(
         source = (sources or {}).get(
             f"{name}.{key}", "default" if value == fields[key].default else "set"
         )
+        stated = getattr(record, key)
+        if isinstance(stated, Record):
+            value = stated.model_dump(exclude_none=True, exclude_unset=True)
         rows.append((key, setting_value(value, key), meaning, source))
     return rows
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, NumberArray
-
-Knees = tuple[tuple[int, int], ...]
+from pixsim.sensor.quantities import Knees
 
 
 @lru_cache

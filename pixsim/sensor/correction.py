@@ -7,6 +7,7 @@ residual noise of its correction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,7 +23,7 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.merge import merged_variance_e2
+from pixsim.sensor.merge import by_level, fixed_pattern_e2, mean_weights, merged_variance_e2
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, read_electrons, read_out, sample_sensor
@@ -276,8 +277,8 @@ def residual_variance_e2(
     flat : (s/L)² (L + T (1 + 1/n_c))/n_f
     gain : (PRNU · s)² without flat frames
 
-    Of several readings s + T of the temporal part is the variance of their merge, and T elsewhere
-    belongs to the most sensitive one.
+    Of several readings the variances are those of their merge, and the picture, the dark frames and
+    the flat frames have the patterns of the readings that each takes: those of others stay.
 
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in
     PRNU and 1/√L.
@@ -290,6 +291,8 @@ def residual_variance_e2(
     >>> round(residual_variance_e2(2e4, 0.01, pixel, Correction()).gain, 6)  # (0.01 · 20000)²
     40000.0
     """
+    if readout.readings:
+        return _merged_residual_e2(signal_e, integration_s, readout, correction)
     dark_e = readout.dark_current_e_per_s * integration_s
     dark_variance = float(variance_e2(readout, is_temporal=True)) + dark_e
     dark_variance += readout.rounding_variance_dn2 / readout.dn_per_e**2
@@ -308,8 +311,53 @@ def residual_variance_e2(
         offsets *= (1 - ratio) ** 2
         flat = ratio**2 * (level_e + dark_variance * (1 + clamp)) / correction.flat_frames
         gain = 0.0
-    light_e2: Array | float = signal_e
-    if readout.readings:
-        merged_e2 = merged_variance_e2(readout, signal_e, integration_s, fixed_pattern=False)
-        light_e2 = merged_e2 - dark_variance
-    return Residual(light_e2 + dark_variance * (1 + clamp), offsets, flat, gain)
+    return Residual(signal_e + dark_variance * (1 + clamp), offsets, flat, gain)
+
+
+def _merged_residual_e2(
+    signal_e: Array | float, integration_s: float, readout: Readout, correction: Correction
+) -> Residual:
+    """Return `residual_variance_e2` of several readings.
+
+    With weights w(s) of the readings, offsets are left by w(s) - w(0) - (s/L) (w(L) - w(0)), and
+    gains by w(s) - w(L). Dark rows alone are taken to remove the columns' offsets of all readings.
+    """
+    count = readout.exposures
+    temporal = partial(
+        merged_variance_e2, readout, integration_s=integration_s, fixed_pattern=False
+    )
+    dark_e2 = float(temporal(0.0))
+    clamp = 1 / correction.column_clamp if correction.column_clamp else 0.0
+    flat_e = math.inf
+    if correction.flat_frames:
+        flat_e = flat_light_e(readout, correction, integration_s)
+    if correction.column_clamp and not correction.dark_frames:
+        readout = readout.with_silent((*readout.silent, "column FPN"))
+
+    def weights(level_e: Array) -> Array:
+        return mean_weights(readout, level_e / count, integration_s / count)
+
+    dark_weights = weights(np.zeros(1)) if correction.dark_frames else 0.0
+    flat_weights = weights(np.array([flat_e])) if correction.flat_frames else dark_weights
+
+    def offsets_e2(level_e: Array) -> Array:
+        left = weights(level_e) - dark_weights - level_e / flat_e * (flat_weights - dark_weights)
+        return fixed_pattern_e2(readout, 0.0 * level_e, integration_s, left)
+
+    def gain_e2(level_e: Array) -> Array:
+        left = weights(level_e)
+        if correction.flat_frames:
+            left = left - flat_weights
+        both_e2 = fixed_pattern_e2(readout, level_e, integration_s, left)
+        return both_e2 - fixed_pattern_e2(readout, 0.0 * level_e, integration_s, left)
+
+    ratio = signal_e / flat_e
+    offsets = by_level(offsets_e2, signal_e) * (1 + clamp)
+    flat: Array | float = 0.0
+    if correction.dark_frames:
+        offsets += (1 - ratio) ** 2 * dark_e2 * (1 + clamp) / correction.dark_frames
+    if correction.flat_frames:
+        flat = ratio**2 * (float(temporal(flat_e)) + clamp * dark_e2) / correction.flat_frames
+    return Residual(
+        temporal(signal_e) + clamp * dark_e2, offsets, flat, by_level(gain_e2, signal_e)
+    )

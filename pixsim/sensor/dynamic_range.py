@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -18,8 +18,7 @@ from pixsim.base.errors import did_you_mean, invalid
 from pixsim.sensor.merge import covariances_e2, level_variance_e2, switch_levels_e
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Reading, Readout
-from pixsim.sensor.readout_options import ReadoutOptions
+from pixsim.sensor.reading import Readout, with_merge
 from pixsim.sensor.technology import load_technology
 
 # The public names; everything else is internal.
@@ -29,14 +28,6 @@ _LOWEST_E = 1e-6
 _POINTS = 257  # of a segment between two switches, among which SNR crosses the threshold
 _STEPS = 60  # of bisection: beyond the digits of a float
 _BEFORE = 1 - 1e-12  # of a switch
-
-
-def _with_merge(readout: Readout) -> Readout:
-    """Return a readout that has its readings; of a pixel that is read once, that reading."""
-    if readout.readings:
-        return readout
-    once = Reading("pixel", readout, collector=0, photodiode=0)
-    return replace(readout, readings=(once,), merge=ReadoutOptions())
 
 
 def snr_db(
@@ -69,18 +60,43 @@ def snr_db(
     ...     for name in ("high", "low")]
     [37.315, 37.308]
     """
-    readout = _with_merge(Readout.of(derive(pixel, load_technology(pixel.technology))))
+    return readout_snr_db(
+        _readout_of(pixel), charge_e, integration_s, rounding=rounding, reading=reading
+    )
+
+
+def _readout_of(pixel: Pixel) -> Readout:
+    return Readout.of(derive(pixel, load_technology(pixel.technology)))
+
+
+def readout_snr_db(
+    readout: Readout,
+    charge_e: NotNegatives,
+    integration_s: float,
+    *,
+    rounding: bool = True,
+    reading: str | None = None,
+) -> Array:
+    """Return `snr_db` of frames of a readout, which may be the sum of subexposures; charge and time
+    are of a frame.
+    """
     level_e = np.atleast_1d(np.asarray(charge_e, float))
-    variance_e2 = _variance(readout, integration_s, rounding=rounding, reading=reading)
+    variance_e2 = _variance(with_merge(readout), integration_s, rounding=rounding, reading=reading)
     return _snr_db(level_e.ravel(), variance_e2).reshape(np.shape(charge_e))
 
 
 def _variance(
     readout: Readout, integration_s: float, *, rounding: bool, reading: str | None
 ) -> Callable[[Array], Array]:
-    """Return the variance of an estimate as a function of the level; NaN where it is full."""
+    """Return the variance of a frame's estimate as a function of the level; NaN where it is
+    full.
+    """
+    count = readout.exposures
+    time_s = integration_s / count
     if reading is None:
-        return lambda level_e: level_variance_e2(readout, level_e, integration_s, rounding=rounding)
+        return lambda level_e: (
+            count * level_variance_e2(readout, level_e / count, time_s, rounding=rounding)
+        )
 
     names = [named.name for named in readout.readings]
     if reading not in names:
@@ -90,9 +106,10 @@ def _variance(
     selected = readout.readings[index]
 
     def variance_e2(level_e: Array) -> Array:
-        alone = covariances_e2(readout, level_e, integration_s, rounding)[index, index]
-        is_full = selected.response * level_e + selected.dark_e(integration_s) > selected.limit_e
-        return np.where(is_full, np.nan, alone)
+        single_e = level_e / count
+        alone = covariances_e2(readout, single_e, time_s, rounding)[index, index]
+        is_full = selected.response * single_e + selected.dark_e(time_s) > selected.limit_e
+        return np.where(is_full, np.nan, count * alone)
 
     return variance_e2
 
@@ -158,57 +175,57 @@ def dynamic_range(
 
     Raises PixsimError if dark charge fills the last reading, and as `derive` does.
     """
-    readout = _with_merge(Readout.of(derive(pixel, load_technology(pixel.technology))))
+    return readout_range(_readout_of(pixel), snr_db, integration_s, rounding=rounding)
+
+
+def readout_range(
+    readout: Readout, snr_db: float, integration_s: float, *, rounding: bool = True
+) -> DynamicRange:
+    """Return `dynamic_range` of frames of a readout, which may be the sum of subexposures; charges
+    and time are of a frame.
+    """
+    readout = with_merge(readout)
+    count = readout.exposures
     last = readout.readings[-1]
-    largest_e = (last.limit_e - last.dark_e(integration_s)) / last.response
+    largest_e = count * (last.limit_e - last.dark_e(integration_s / count)) / last.response
     if largest_e <= 0:
         raise invalid(
             "integration_s of the dynamic range",
-            f"{last.dark_e(integration_s):.4g} e- of dark charge",
+            f"{last.dark_e(integration_s / count):.4g} e- of dark charge",
             f"less than the limit of '{last.name}', {last.limit_e:.4g} e-",
             "Shorten the integration time or cool the sensor.",
         )
 
     variance_e2 = _variance(readout, integration_s, rounding=rounding, reading=None)
     switches_e = [
-        level_e
-        for level_e in switch_levels_e(readout, integration_s)
-        if _LOWEST_E < level_e < largest_e
+        level_e for level_e in switches_of_frame_e(readout, integration_s) if level_e < largest_e
     ]
     ends_e = [min(_LOWEST_E, largest_e / 2), *switches_e, largest_e]
-    ranges: list[tuple[float, float]] = []
-    for low_e, high_e in pairwise(ends_e):
-        for start_e, end_e in _ranges_between(low_e, high_e, variance_e2, snr_db):
-            if ranges and start_e <= ranges[-1][1]:
-                ranges[-1] = ranges[-1][0], end_e
-            else:
-                ranges.append((start_e, end_e))
-    dark_noise_e = math.sqrt(float(variance_e2(np.zeros(1))[0]))
-    return DynamicRange(snr_db, tuple(ranges), largest_e, dark_noise_e)
-
-
-def _ranges_between(
-    low_e: float, high_e: float, variance: Callable[[Array], Array], threshold_db: float
-) -> list[tuple[float, float]]:
-    """Return the ranges with at least a threshold between two switches, both ends included."""
-    level_e = np.geomspace(low_e, high_e, _POINTS)
-    level_e[-1] = high_e * _BEFORE
+    level_e = np.concatenate(
+        [np.geomspace(low_e, high_e * _BEFORE, _POINTS) for low_e, high_e in pairwise(ends_e)]
+    )
 
     def is_above(level: Array) -> NDArray[np.bool_]:
-        return np.asarray(_snr_db(level, variance) >= threshold_db)
+        return np.asarray(_snr_db(level, variance_e2) >= snr_db)
 
-    above = is_above(level_e)
+    # Ranges end where the ratio crosses the threshold, and with the levels.
+    above = np.pad(is_above(level_e), 1)
+    bounds_e = np.pad(level_e, 1, mode="edge")
     changes = np.flatnonzero(above[1:] != above[:-1])
-    inner, outer = level_e[changes], level_e[changes + 1]
+    inner, outer = bounds_e[changes], bounds_e[changes + 1]
     for _ in range(_STEPS):
         middle = np.sqrt(inner * outer)
         is_before = is_above(middle) == above[changes]
         inner = np.where(is_before, middle, inner)
         outer = np.where(is_before, outer, middle)
+    crossings_e = np.sqrt(inner * outer).tolist()
+    ranges = tuple(zip(crossings_e[::2], crossings_e[1::2], strict=True))
+    dark_noise_e = math.sqrt(float(variance_e2(np.zeros(1))[0]))
+    return DynamicRange(snr_db, ranges, largest_e, dark_noise_e)
 
-    ends_e = np.sqrt(inner * outer).tolist()
-    if above[0]:
-        ends_e = [low_e, *ends_e]
-    if above[-1]:
-        ends_e = [*ends_e, high_e]
-    return list(zip(ends_e[::2], ends_e[1::2], strict=True))
+
+def switches_of_frame_e(readout: Readout, integration_s: float) -> list[float]:
+    """Return the charges of a frame at which the merge changes its readings, rising."""
+    count = readout.exposures
+    switches_e = (count * level_e for level_e in switch_levels_e(readout, integration_s / count))
+    return [level_e for level_e in switches_e if level_e > _LOWEST_E]

@@ -13,7 +13,7 @@ weights by what is valid: x_k below its limit by some σ_k.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.sensor.colour import Layout
+from pixsim.sensor.noise import Along, constant_e, variance_e2
 from pixsim.sensor.reading import Reading, Readout
 from pixsim.sensor.readout_options import ReadoutOptions
 
@@ -33,12 +34,12 @@ _UNUSED_E2 = 1e30  # variance of readings that are not valid
 _MIN_WEIGHT = 1e-12  # of a valid reading
 _TABLE_LEVELS = 2048  # more levels are interpolated in a table: a third of a deviation at 1e5 e-
 _TABLE_FROM = 1e-6  # of the brightest level
+LINES: tuple[Along, Along] = ("column", "row")  # pixels that share an offset
 _NEIGHBOURS = 3  # pixels along a side of the neighbourhood, of one channel
 
 
 def _valid_below_e(readout: Readout) -> list[float]:
     """Return the charges below which readings are valid; the last one always is."""
-    assert readout.merge is not None
     sigmas = readout.merge.validity_sigmas
     below_e = [reading.valid_below_e(sigmas) for reading in readout.readings[:-1]]
     return [*below_e, math.inf]
@@ -65,7 +66,6 @@ def _shares(readout: Readout, charges_e: Sequence[Array]) -> list[NDArray[Any]]:
 
     charges_e : of each reading with its dark charge, (...)
     """
-    assert readout.merge is not None
     return [
         _share_of_reading(charge_e, reading, below_e, readout.merge)
         for charge_e, reading, below_e in zip(
@@ -121,17 +121,21 @@ def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> list[
     ]
 
 
+def _estimates_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> list[Array]:
+    """Return the electrons of the first collector by each reading alone, (...) each."""
+    return [
+        (charge_e - reading.dark_e(integration_s)) / reading.response
+        for charge_e, reading in zip(charges_e, readout.readings, strict=True)
+    ]
+
+
 def merged_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> Array:
     """Return the estimate of the electrons of the first collector, (rows, columns).
 
     charges_e : of each reading with its dark charge, (rows, columns)
     integration_s : of one exposure
     """
-    assert readout.merge is not None
-    estimates_e = [
-        (charge_e - reading.dark_e(integration_s)) / reading.response
-        for charge_e, reading in zip(charges_e, readout.readings, strict=True)
-    ]
+    estimates_e = _estimates_e(readout, charges_e, integration_s)
     if readout.merge.merge == "max_likelihood":
         weights = frame_weights(readout, charges_e, integration_s)
         return np.asarray(
@@ -158,13 +162,9 @@ def frame_weights(
 
     The pilot of 'max_likelihood' is the mean over neighbours of the most sensitive valid readings.
     """
-    assert readout.merge is not None
     pilot_e = None
     if readout.merge.merge == "max_likelihood":
-        estimates_e = [
-            (charge_e - reading.dark_e(integration_s)) / reading.response
-            for charge_e, reading in zip(charges_e, readout.readings, strict=True)
-        ]
+        estimates_e = _estimates_e(readout, charges_e, integration_s)
         selected_e = _nested(_shares(readout, charges_e), estimates_e)
         pilot_e = _neighbourhood_means(selected_e, readout.physics.layout)
     return merge_weights(readout, charges_e, integration_s, pilot_e)
@@ -241,14 +241,12 @@ def mean_weights(readout: Readout, level_e: Array, integration_s: float, first: 
     ]
     for number in range(first):
         charges_e[number] = np.full(level_e.shape, math.inf)
-    assert readout.merge is not None
     pilot_e = level_e if readout.merge.merge == "max_likelihood" else None
     return np.stack(merge_weights(readout, charges_e, integration_s, pilot_e))
 
 
 def _switch_charges_e(readout: Readout) -> list[list[float]]:
     """Return the charges of each reading at which its share has a step or a kink, rising."""
-    assert readout.merge is not None
     merge = readout.merge
     shares = (merge.blend_from_share, merge.blend_to_share) if merge.merge == "blend" else ()
     ends_e = [
@@ -289,7 +287,9 @@ def level_variance_e2(
     return np.where(is_full, np.nan, _sum_e2(weights, covariance))
 
 
-def merged_level(readout: Readout, level_e: Array, integration_s: float) -> MergedLevel:
+def merged_level(
+    readout: Readout, level_e: Array, integration_s: float, *, passing: bool = True
+) -> MergedLevel:
     """Return mean and variance of the estimate of levels (n,), with the choice of readings by their
     noisy charges.
 
@@ -297,8 +297,9 @@ def merged_level(readout: Readout, level_e: Array, integration_s: float) -> Merg
     sums of readings with it and without it. All are normal, so that one integral over x has mean
     and variance; the bias is E[a′] cov(x, A - B) (Stein, Ann. Stat. 9 (1981) 1135). Few full
     readings pass as valid, Φ(-validity_sigmas) of them, but err by all that the limit cuts off.
+
+    passing : whether these count, which are too few for a normal law
     """
-    assert readout.merge is not None
     readings = readout.readings
     below_e = _valid_below_e(readout)
     covariance = covariances_e2(readout, level_e, integration_s)
@@ -335,23 +336,22 @@ def merged_level(readout: Readout, level_e: Array, integration_s: float) -> Merg
         variance_e2[part] = square.sum(axis=(0, 2)) - bias_e[part] ** 2
         weights[:, part] = (density * merged).sum(axis=(1, 3))
 
-    for number in range(count - 1):
-        passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
-        bias_e += passing * error_e
-        variance_e2 += passing * error_e**2
+    for number in range(count - 1 if passing else 0):
+        share_passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
+        bias_e += share_passing * error_e
+        variance_e2 += share_passing * error_e**2
     return MergedLevel(bias_e, variance_e2, weights)
 
 
 def _passing(
     readout: Readout, level_e: Array, integration_s: float, number: int, below_e: float
 ) -> tuple[Array, Array]:
-    """Return the share of pixels, (n,), in which a full reading passes as valid by noise behind
-    its limit, and the error of the estimate there.
+    """Return the share of pixels, (n,), in which a full reading passes as valid by noise and
+    offsets behind its limit, and the error of the estimate there.
 
     number : of the reading
     below_e : charge of its codes below which it is valid
     """
-    assert readout.merge is not None
     reading = readout.readings[number]
     charge_e = reading.response * level_e + reading.dark_e(integration_s)
     is_full = scipy.special.ndtr((charge_e - reading.limit_e) / np.sqrt(np.maximum(charge_e, 1.0)))
@@ -361,13 +361,14 @@ def _passing(
     dn_per_e = reading.readout.dn_per_e
     first_invalid_dn = math.ceil(below_e * dn_per_e + black_dn)
     end_e = (first_invalid_dn - 0.5 - black_dn) / dn_per_e
-    z = (end_e - reading.limit_e) / max(reading.noise_e, 1e-9)
+    spread_e = max(reading.spread_e, 1e-9)
+    z = (end_e - reading.limit_e) / spread_e
     passing = float(scipy.special.ndtr(z))
     if passing < _MIN_PASSING:
         return np.zeros(level_e.shape), np.zeros(level_e.shape)
 
     density = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
-    read_e = np.array([reading.limit_e - reading.noise_e * density / passing])
+    read_e = np.array([reading.limit_e - spread_e * density / passing])
     read_e = np.minimum(read_e, np.nextafter(below_e, 0.0))  # before it was rounded
     share = float(_share_of_reading(read_e, reading, below_e, readout.merge)[0])
     without_e = mean_weights(readout, level_e, integration_s, number + 1)
@@ -383,7 +384,6 @@ def _weights_with(
 
     others : the weights where it is not
     """
-    assert readout.merge is not None
     alone = np.zeros(others.shape)
     alone[number] = 1.0
     if readout.merge.merge != "max_likelihood":
@@ -413,7 +413,7 @@ def _normal_nodes(charge_e: Array, sigma_e: Array, ends_e: Sequence[float]) -> t
 def fixed_pattern_e2(
     readout: Readout, level_e: Array, integration_s: float, weights: Array
 ) -> Array:
-    """Return the variance of the estimate over pixels by PRNU, DSNU and offsets, (n,).
+    """Return the variance of the estimate over pixels by gain, DSNU and offsets, (n,).
 
     level_e : mean electrons of light of the first collector in a frame
     integration_s : of a frame
@@ -427,42 +427,91 @@ def fixed_pattern_e2(
     dark = [frame.dark_spread.deviation * frame.dark_current_e_per_s for frame in frames]
     offset = [frame.offset_e for frame in frames]
     patterns_e = gain, integration_s * np.array(dark)[:, None] / response
-    is_shared = (diodes[:, None] == diodes).astype(float)
+    dark_e = np.array([reading.dark_e(integration_s) for reading in readings])[:, None]
+    spread = np.array([math.hypot(*reading.gain_spreads) for reading in readings])[:, None]
+    scatter_e = weights * spread * (level_e + dark_e / response)
     return np.asarray(
-        sum(
-            np.einsum("kn,kl,ln->n", weights * pattern_e, is_shared, weights * pattern_e)
+        (scatter_e**2).sum(axis=0)
+        + sum(
+            _sum_shared_e2(weights * pattern_e, diodes)
             for pattern_e in (*patterns_e, np.array(offset)[:, None] / response)
         )
     )
 
 
+def _sum_shared_e2(parts_e: Array, sources: NDArray[np.int_]) -> Array:
+    """Return the variance of a sum of offsets (K, n), of which those of one source (K,) are
+    equal but for their size.
+    """
+    is_shared = (sources[:, None] == sources).astype(float)
+    return np.asarray(np.einsum("kn,kl,ln->n", parts_e, is_shared, parts_e))
+
+
+def line_variance_e2(
+    readout: Readout, signal_e: Array | float, integration_s: float, along: Along
+) -> Array | float:
+    """Return the variance of the offsets that the pixels of a row, or of a column, share at mean
+    electrons of light (...) of a frame; of a pixel that is read once, at all of them.
+    """
+    if not readout.readings:
+        return variance_e2(readout, along=along)
+    count = readout.exposures
+    offsets_e = np.array(
+        [
+            constant_e(reading.readout.burst(count), along=along) / reading.response
+            for reading in readout.readings
+        ]
+    )
+    if not offsets_e.any():
+        return 0.0
+    # Rows have others in each reading, columns those of the photodiode.
+    sources = np.arange(offsets_e.size)
+    if along == "column":
+        sources = np.array([reading.photodiode for reading in readout.readings])
+
+    def at(level_e: Array) -> Array:
+        weights = mean_weights(readout, level_e / count, integration_s / count)
+        return _sum_shared_e2(weights * offsets_e[:, None], sources)
+
+    return by_level(at, signal_e)
+
+
+def by_level(function: Callable[[Array], Array], signal_e: Array | float) -> Array:
+    """Return a function of levels (n,) at signals (...); of many, interpolated in a table."""
+    signal = np.maximum(np.asarray(signal_e, float), 0.0)
+    level_e = signal.ravel()
+    if level_e.size <= _TABLE_LEVELS:
+        return function(level_e).reshape(signal.shape)
+    # Between switches the variance is linear in the level, but for squares of fixed pattern.
+    brightest_e = max(float(level_e.max()), 1.0)
+    level_e = np.append(0.0, np.geomspace(_TABLE_FROM * brightest_e, brightest_e, _TABLE_LEVELS))
+    return np.interp(signal, level_e, function(level_e))
+
+
 def merged_variance_e2(
-    readout: Readout, signal_e: Array | float, integration_s: float, *, fixed_pattern: bool
+    readout: Readout,
+    signal_e: Array | float,
+    integration_s: float,
+    *,
+    fixed_pattern: bool,
+    passing: bool = True,
 ) -> Array:
     """Return the variance of the estimate of mean electrons of light (...) over frames and, with
     `fixed_pattern`, over sensors.
 
-    Near a switch with the choice by noisy charges, as `merged_level`; beyond the last limit as if
-    nothing clipped.
+    Near a switch with the choice by noisy charges, as `merged_level`, which has `passing`; beyond
+    the last limit as if nothing clipped.
     """
-    signal = np.maximum(np.asarray(signal_e, float), 0.0)
     count = readout.exposures
-    level_e = signal.ravel()
-    if level_e.size > _TABLE_LEVELS:
-        # Between switches the variance is linear in the level, but for squares of fixed pattern.
-        brightest_e = max(float(level_e.max()), 1.0)
-        level_e = np.append(
-            0.0, np.geomspace(_TABLE_FROM * brightest_e, brightest_e, _TABLE_LEVELS)
-        )
-    moments = merged_level(readout, level_e / count, integration_s / count)
-    variance_e2 = count * moments.variance_e2
-    if fixed_pattern:
-        variance_e2 = variance_e2 + fixed_pattern_e2(
-            readout, level_e, integration_s, moments.weights
-        )
-    if level_e.size != signal.size:
-        return np.interp(signal, level_e, variance_e2)
-    return np.asarray(variance_e2.reshape(signal.shape))
+
+    def at(level_e: Array) -> Array:
+        moments = merged_level(readout, level_e / count, integration_s / count, passing=passing)
+        variance_e2 = count * moments.variance_e2
+        if not fixed_pattern:
+            return np.asarray(variance_e2)
+        return variance_e2 + fixed_pattern_e2(readout, level_e, integration_s, moments.weights)
+
+    return by_level(at, signal_e)
 
 
 def estimated_variance_e2(

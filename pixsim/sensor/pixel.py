@@ -379,9 +379,15 @@ def _fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name:
 
     Raises PixsimError for a pitch that leaves no photodiode.
     """
-    fill_factor = pixel.fill_factor or float(fill_factor_law(pitch_um, technology))
+    readout_um2 = pixel.readout_area_um2
+    process = pixel.fill_factor or float(fill_factor_law(pitch_um, technology))
+    fill_factor = process * float(share_beside_readout(pitch_um, readout_um2))
+    if process >= MIN_FRACTION > fill_factor:
+        got = f"{readout_um2:g} in a pixel of {pitch_um:g} µm"
+        allowed = f"below {pitch_um**2:.4g} µm², its whole area"
+        raise invalid("pixel.readout.area_um2", got, allowed)
     # Below the smallest pitch, or so little above it that rounding decides.
-    if fill_factor < MIN_FRACTION:
+    if process < MIN_FRACTION:
         allowed = (
             f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of"
             f" {technology.name} fill the pixel"
@@ -396,8 +402,19 @@ def _fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name:
     return fill_factor
 
 
-def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> float:
+def share_beside_readout(pitch_um: Positives, readout_um2: NotNegative) -> Array:
+    """Return the share 1 - a/p² of the fill factor that an area a of readout circuits leaves, (...)
+    as the pitches; 0 where it fills the pixel.
+    """
+    return np.maximum(1 - readout_um2 / np.square(pitch_um), 0.0)
+
+
+def pitch_for_fill_factor_um(
+    fill_factor: float, technology: Technology, readout_um2: NotNegative = 0.0
+) -> float:
     """Return the pitch in µm at a fill factor, the inverse of `fill_factor_law`.
+
+    readout_um2 : area that readout circuits take from the photodiode
 
     Raises PixsimError if the fill factor is not between 0 and the technology's limit.
     """
@@ -410,9 +427,11 @@ def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> floa
     p0_um = smallest_pitch_um(technology)
     inset_um = technology.fill_factor_inset_features * technology.feature_size_um
     limit = technology.fill_factor_limit
-    # (η - FF) p² - 2ηs p + η(s² - (p0 - s)²) = 0
-    root = limit**2 * inset_um**2 + (limit - fill_factor) * limit * p0_um * (p0_um - 2 * inset_um)
-    return (limit * inset_um + math.sqrt(root)) / (limit - fill_factor)
+    # η(p² - 2s p + s² - (p0 - s)²)(p² - a) - FF p⁴ = 0: the largest root is beyond p0 and √a.
+    process = [limit, -2 * limit * inset_um, limit * p0_um * (2 * inset_um - p0_um)]
+    law = np.polymul(process, [1.0, 0.0, -readout_um2])
+    roots = np.roots(np.polysub(law, [fill_factor, 0.0, 0.0, 0.0, 0.0]))
+    return float(roots[np.isreal(roots)].real.max())
 
 
 @lru_cache
@@ -779,7 +798,10 @@ class PixelPhysics:
             measured_um = pixel.data_sheet_pitch_um
         pitch_um = pixel.quantum_efficiency_pitch_um or measured_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
-        if pitch_um != self.pitch_um:
+        if pixel.readout_area_um2 and not self._efficiency_is_of_sheet:
+            # A process measured it on a pixel that is read once.
+            pixel = pixel.model_copy(update={"readout": None})
+        if pitch_um != self.pitch_um or pixel is not self.pixel:
             fill_factor = _fill_factor_at(
                 pitch_um, pixel, self.technology, "quantum_efficiency_pitch_um"
             )

@@ -44,6 +44,14 @@ def pixel_notes(
             " colours do not depend on it"
         )
         notes.append(Note("assumed", words=text))
+    readout = physics.pixel.readout
+    collectors = readout.model[0] if readout is not None and physics.layout is not None else ()
+    if any(collector.response != 1 for collector in collectors):
+        text = (
+            "pixel.readout: the small photodiode is taken to respond to colours as the large one"
+            " does. Where it does not, colours change at the switch (metamerism)"
+        )
+        notes.append(Note("assumed", words=text))
     notes += focus_notes(physics.read_pitch_um, camera, irradiance)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pixsim.base.problems import Words
 from pixsim.base.records import Record, UnitInterval, as_list
@@ -31,6 +31,7 @@ from pixsim.sensor.quantities import (
     ResetFactor,
     VoltageMismatch,
     Well,
+    rising_knees,
 )
 from pixsim.sensor.readout_options import ReadoutOptions
 from pixsim.sensor.stack_options import StackOptions
@@ -38,7 +39,9 @@ from pixsim.sensor.unit_slips import slip_hint
 
 NO_TECHNOLOGY = "none"
 _Level = Annotated[int, Field(ge=0, lt=2**24)]
-_Knees = Annotated[tuple[tuple[_Level, _Level], ...], Field(max_length=64)]
+_Knees = Annotated[
+    tuple[tuple[_Level, _Level], ...], Field(max_length=64), AfterValidator(rising_knees)
+]
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give
 # are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
@@ -490,19 +493,6 @@ class PixelOptions(Record):
         return self
 
     @model_validator(mode="after")
-    def _knees_rise(self) -> Self:
-        if isinstance(self.companding, tuple):
-            steps = zip(self.companding, self.companding[1:], strict=False)
-            if len(self.companding) < 2 or any(
-                high[0] - low[0] < high[1] - low[1] or low[1] >= high[1] for low, high in steps
-            ):
-                raise ValueError(
-                    f"got companding of {len(self.companding)} knees; allowed: at least two pairs"
-                    " [linear DN, code], rising, with at most one code for each linear DN"
-                )
-        return self
-
-    @model_validator(mode="after")
     def _black_below_white(self) -> Self:
         if self.codes_dn <= 0:
             raise ValueError(
@@ -516,6 +506,11 @@ class PixelOptions(Record):
         """Whether the pixel has readings whose codes need a merge, or a decoder."""
         is_single = self.readout is None or self.readout.is_single
         return not is_single or self.companding is not None
+
+    @property
+    def readout_area_um2(self) -> float:
+        """Area that the circuits of several readings take from the photodiode."""
+        return 0.0 if self.readout is None else self.readout.area_um2
 
     @property
     def bin_side(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated
 
 from pydantic import Field
@@ -52,3 +53,19 @@ MAX_CODE_BITS = 31  # codes are stored in 32 bits with a sign
 FrameBits = Annotated[int, Field(ge=1, le=32)]
 Aspect = Annotated[float, Field(ge=1e-6, le=1e6)]
 SaturatedFraction = Annotated[float, Bounds(0, 1, unknown=True)]
+
+Knees = tuple[tuple[int, int], ...]  # linear DN and code of companding
+
+
+def rising_knees(knees: Knees) -> Knees:
+    """Return knees (linear_dn, code). Raises ValueError unless they are two or more that rise, with
+    at most one code for each linear DN.
+    """
+    if len(knees) < 2 or any(
+        high[0] - low[0] < high[1] - low[1] or low[1] >= high[1] for low, high in pairwise(knees)
+    ):
+        raise ValueError(
+            f"got companding of {len(knees)} knees; allowed: at least two pairs [linear DN, code],"
+            " rising, with at most one code for each linear DN"
+        )
+    return knees

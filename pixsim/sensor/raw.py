@@ -15,7 +15,9 @@ The saturated pixels of a burst are an array of an npz, and a text in the other 
 row by row, compressed by zlib, in Base64.
 
 Of pixels that are read several times, the readings are one below the other, the most sensitive
-first; `readings` has the facts of each as JSON.
+first; `readings` has the facts of each as JSON. Of companded codes `knees` has the knees as JSON,
+and a table beside the file, raw.knees.csv of raw.tiff, has them too; of files of other programs it
+is read.
 """
 
 from __future__ import annotations
@@ -39,11 +41,13 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import PixsimError, invalid, names_in
-from pixsim.base.files import MAX_PICTURE, check_picture, opened, reason, size_of
+from pixsim.base.files import MAX_PICTURE, check_picture, opened, read_text, reason, size_of
 from pixsim.base.notes import Note, warn
+from pixsim.base.tables import csv_text
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
-from pixsim.sensor.quantities import FrameBits, Pitch, SaturatedFraction
+from pixsim.sensor.companding import decode
+from pixsim.sensor.quantities import FrameBits, Knees, Pitch, SaturatedFraction, rising_knees
 from pixsim.sensor.readout import Frame, MergedFrame
 
 if TYPE_CHECKING:
@@ -84,7 +88,8 @@ class RawFrame:
         a `Frame`
     readings : of pixels that are read several times, whose readings are one below the other in
         `dn`: gain, black and white level, response and dark electrons of each, by its name. Levels
-        and gain are those of linear numbers, which `knees` have for companded codes
+        and gain are those of linear numbers
+    knees : (linear DN, code) of companded codes
     """
 
     dn: NDArray[Any] = field(repr=False)
@@ -97,7 +102,13 @@ class RawFrame:
     saturated_fraction: SaturatedFraction | None = None
     layout: Layout | None = None
     saturated: NDArray[np.bool_] | None = None
-    readings: dict[str, dict[str, Any]] | None = None
+    readings: dict[str, dict[str, float]] | None = None
+    knees: Knees | None = None
+
+    @property
+    def linear_dn(self) -> NDArray[Any]:
+        """Linear digital numbers, (rows, columns): of companded codes, the middle of each."""
+        return self.dn if self.knees is None else decode(self.dn, self.knees)
 
     @property
     def readings_dn(self) -> dict[str, NDArray[Any]]:
@@ -138,6 +149,7 @@ LAYOUT = "layout"
 SATURATED = "saturated"
 READINGS = "readings"
 _KNEES = "knees"
+_MAX_KNEES_BYTES = 1 << 16
 _BLACK_LEVEL = "black_level_dn"
 FACTS = (
     "black_level_dn",
@@ -161,10 +173,16 @@ def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     metadata: dict[str, Any] = {}
     if frame.layout is not None:
         metadata[LAYOUT] = str(frame.layout)
+    knees = None
     if isinstance(frame, MergedFrame):
         metadata[READINGS] = json.dumps(_facts_of_readings(frame))
-    elif isinstance(frame, RawFrame) and frame.readings:
-        metadata[READINGS] = json.dumps(frame.readings)
+        knees = frame.readout.adc.knees
+    elif isinstance(frame, RawFrame):
+        knees = frame.knees
+        if frame.readings:
+            metadata[READINGS] = json.dumps(frame.readings)
+    if knees is not None:
+        metadata[_KNEES] = json.dumps(knees)
     # Of a single exposure, the codes tell which pixels were saturated.
     is_burst = isinstance(frame, RawFrame) or frame.exposures > 1
     is_burst = is_burst and READINGS not in metadata  # which are of another shape
@@ -183,7 +201,7 @@ def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     return metadata
 
 
-def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, Any]]:
+def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
     """Return what turns the codes of each reading into electrons of light, by its name."""
     count = frame.exposures
     return {
@@ -191,7 +209,6 @@ def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, Any]]:
             "dn_per_e": reading.readout.dn_per_e,
             "black_level_dn": count * reading.readout.adc.black_level_dn,
             "white_level_dn": count * reading.readout.adc.top_code_dn,
-            _KNEES: reading.readout.adc.knees,
             "response": reading.response,
             "dark_e": reading.dark_e(frame.integration_s),
         }
@@ -199,17 +216,38 @@ def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, Any]]:
     }
 
 
-def _readings_of(metadata: dict[str, Any]) -> dict[str, dict[str, Any]] | None:
+def _readings_of(metadata: dict[str, Any]) -> dict[str, dict[str, float]] | None:
     """Return the facts of several readings that a file states, if they are such facts."""
     with suppress(KeyError, TypeError, ValueError, AttributeError, RecursionError):
         stated = json.loads(str(metadata[READINGS]))
         return {
-            str(name): {
-                fact: value if fact == _KNEES else float(value) for fact, value in facts.items()
-            }
+            str(name): {fact: float(value) for fact, value in facts.items()}
             for name, facts in stated.items()
         }
     return None
+
+
+def _knees_of(metadata: dict[str, Any], path: Path) -> Knees | None:
+    """Return the knees that a file states, or of another program those of the table beside it.
+    Raises PixsimError for a table of something else.
+    """
+    table = _knees_path(path)
+    if "unit" not in metadata and table.is_file():
+        allowed = "lines of linear_dn,code"
+        text = read_text(table, "knees", allowed, _MAX_KNEES_BYTES)
+        rows = [line.split(",") for line in text.split()[1:]]
+        try:
+            return rising_knees(tuple((int(linear_dn), int(code)) for linear_dn, code in rows))
+        except ValueError as error:
+            raise invalid("knees", f"'{table}' ({error})", allowed) from None
+    with suppress(KeyError, TypeError, ValueError, RecursionError):
+        stated = json.loads(str(metadata[_KNEES]))
+        return rising_knees(tuple((int(linear_dn), int(code)) for linear_dn, code in stated))
+    return None
+
+
+def _knees_path(path: Path) -> Path:
+    return path.with_suffix(".knees.csv")
 
 
 def _cell_of(levels: Array) -> Array:
@@ -281,10 +319,14 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
             name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead."
         )
     for fact, value in facts.items():
-        is_number = fact not in (LAYOUT, SATURATED, READINGS) and not np.ndim(value)
+        is_number = fact not in (LAYOUT, SATURATED, READINGS, _KNEES) and not np.ndim(value)
         if is_number and not math.isfinite(stated_number(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
+    if _KNEES in facts:
+        with writing(_knees_path(path)) as unfinished:
+            text = csv_text([("linear_dn", "code"), *json.loads(facts[_KNEES])])
+            unfinished.write_text(text, encoding="utf-8")
 
 
 def _check_whole(name: str, dn: NDArray[Any]) -> None:
@@ -368,7 +410,8 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 
     path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array);
-        of TIFF/EP with its layout. Of several pages the first is read, with a warning
+        of TIFF/EP with its layout. Of several pages the first is read, with a warning. Companded
+        codes of another program have their knees in a table beside it, raw.knees.csv of raw.tiff
 
     Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸
     pixels.
@@ -399,6 +442,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
         layout=layout_of(metadata, dn.shape),
         saturated=saturated_of(metadata, dn.shape),
         readings=_readings_of(metadata),
+        knees=_knees_of(metadata, path),
     )
 
 

@@ -21,7 +21,7 @@ from pixsim.base.bounds import Count, NotNegative, Positive
 from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
-from pixsim.sensor.companding import Knees, decode, encode, packaged_knees, steps_dn
+from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread
 from pixsim.sensor.noise import constant_e, variance_e2
@@ -33,12 +33,13 @@ from pixsim.sensor.pixel import (
     reset_noise_e,
     usual_black_level_dn,
 )
-from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb
+from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb, Knees
 from pixsim.sensor.readout_options import CollectorOptions, ReadingOptions, ReadoutOptions
 
 # The public names; everything else is internal.
 __all__ = ["Adc", "Reading", "Readout", "dark_spread_e", "least_black_level_dn"]
 
+_ONE_READING = ReadoutOptions()
 _FF_UV = 1e21  # capacitance in fF of a charge in C and its voltage in µV
 
 
@@ -149,7 +150,7 @@ class Readout:
     silent : names of noise sources that are switched off
     readings : of a pixel that is read several times, from the most sensitive one on; then all
         numbers of this record but `saturation_e` belong to the first one
-    merge : how the readings become one estimate of electrons, or None
+    merge : how the readings become one estimate of electrons
 
     Raises PixsimError if the codes of a frame have more than 31 bits.
     """
@@ -163,7 +164,7 @@ class Readout:
     bin_side: Count = 1
     silent: tuple[str, ...] = ()
     readings: tuple[Reading, ...] = ()
-    merge: ReadoutOptions | None = None
+    merge: ReadoutOptions = _ONE_READING
 
     def __post_init__(self) -> None:
         """Raise PixsimError if the codes of a frame have more than 31 bits."""
@@ -334,7 +335,11 @@ class Readout:
 
     @property
     def rounding_variance_dn2(self) -> float:
-        """Variance of a frame by the rounding of each exposure, LSB²/12."""
+        """Variance of a frame by the rounding of each exposure, LSB²/12; of companded codes, in the
+        dark.
+        """
+        if self.adc.knees is not None:
+            return float(np.asarray(self.adc.rounding_e2(np.zeros(()), 1.0)))
         return self.exposures / 12
 
     @property
@@ -462,11 +467,10 @@ class Reading:
     photodiode : number of the photodiode; collectors of one share its fixed pattern
     response : light that the collector gets in a frame, over the light of the first one: area, time
         and filter
-    length_share : of its exposure, of the integration time
-    start_share, start_s : its exposure begins after this share of the integration time, and this
-        time
     overflow : whether it reads the overflow capacitor, too
     capacitor_dark_e_per_s : dark current of the capacitor, if it reads it
+    gain_spread, column_gain_spread : standard deviation of its gain over pixels and over columns,
+        relative
     gain_error, black_error_dn : errors of its gain, relative, and of its black level, of which the
         merge does not know
     """
@@ -476,11 +480,10 @@ class Reading:
     collector: int
     photodiode: int
     response: float = 1.0
-    length_share: float = 1.0
-    start_share: float = 0.0
-    start_s: float = 0.0
     overflow: bool = False
     capacitor_dark_e_per_s: float = 0.0
+    gain_spread: float = 0.0
+    column_gain_spread: float = 0.0
     gain_error: float = 0.0
     black_error_dn: float = 0.0
 
@@ -494,17 +497,29 @@ class Reading:
         """Temporal noise behind the limit: reset, read and row noise, without rounding."""
         return self.readout.noise_floor_e
 
+    @property
+    def gain_spreads(self) -> tuple[float, float]:
+        """Standard deviation of its gain over pixels and over columns, which count as PRNU."""
+        if "PRNU" in self.readout.silent:
+            return 0.0, 0.0
+        return self.gain_spread, self.column_gain_spread
+
+    @property
+    def spread_e(self) -> float:
+        """Standard deviation of a full reading over frames and pixels, without rounding."""
+        gain_e = self.limit_e * math.hypot(*self.gain_spreads)
+        return math.hypot(self.noise_e, self.readout.offset_e, gain_e)
+
     def rounding_e2(self, charge_e: Array) -> Array | float:
         """Return the variance by rounding of charges, (...), in electrons."""
         return self.readout.adc.rounding_e2(charge_e, self.readout.dn_per_e)
 
     def valid_below_e(self, sigmas: float) -> float:
         """Return the charge below which the reading is valid: so many standard deviations of the
-        noise behind the limit below it, offsets and rounding included.
+        noise behind the limit below it, offsets, gain and rounding included.
         """
         rounding_e = math.sqrt(float(self.rounding_e2(np.asarray(self.limit_e))))
-        spread_e = math.hypot(self.noise_e, self.readout.offset_e, rounding_e)
-        return self.limit_e - sigmas * spread_e
+        return self.limit_e - sigmas * math.hypot(self.spread_e, rounding_e)
 
     def dark_e(self, integration_s: float) -> float:
         """Return the mean dark charge that it reads, of the collector and of the capacitor."""
@@ -514,11 +529,6 @@ class Reading:
         """Return the mean dark charge of the capacitor."""
         return self.capacitor_dark_e_per_s * integration_s
 
-    def centre_s(self, integration_s: float) -> float:
-        """Return the time at the centre of its exposure, after the start of the first one."""
-        start_s = self.start_share * integration_s + self.start_s
-        return start_s + self.length_share * integration_s / 2
-
 
 def with_all(readout: Readout, change: Callable[[Readout], Readout]) -> Readout:
     """Return a record and its readings, each changed by a function."""
@@ -526,6 +536,14 @@ def with_all(readout: Readout, change: Callable[[Readout], Readout]) -> Readout:
         replace(reading, readout=change(reading.readout)) for reading in readout.readings
     )
     return replace(change(readout), readings=readings)
+
+
+def with_merge(readout: Readout) -> Readout:
+    """Return a readout that has its readings; of a pixel that is read once, that reading."""
+    if readout.readings:
+        return readout
+    once = Reading("pixel", readout, collector=0, photodiode=0)
+    return replace(readout, readings=(once,))
 
 
 def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
@@ -559,13 +577,12 @@ def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
                 collector=number,
                 photodiode=diodes.index(diodes[number]),
                 response=collector.response * collector.length_share,
-                length_share=collector.length_share,
-                start_share=collector.start_share,
-                start_s=collector.start_s,
                 overflow=reading.overflow,
                 capacitor_dark_e_per_s=(
                     physics.growth * collector.capacitor_dark_e_per_s if reading.overflow else 0.0
                 ),
+                gain_spread=reading.gain_spread,
+                column_gain_spread=reading.column_gain_spread,
                 gain_error=reading.gain_error,
                 black_error_dn=reading.black_error_dn,
             )
@@ -606,18 +623,14 @@ def _limit_e(
         full collector
     """
     capacity_e = physics.growth * collector.capacity_e
-    held_e = physics.full_well_e + (capacity_e if reading.overflow else 0.0)
+    held_e = physics.full_well_e + capacity_e * reading.overflow
     if reading.limit_e is not None:
         return min(held_e, physics.growth * reading.limit_e)
 
-    gains = [other.conversion_gain_uv_per_e for other in siblings]
-    if reading.conversion_gain_uv_per_e is None or None in gains:
-        return held_e
-    lowest = min(gain for gain in gains if gain is not None)
-    largest_e = physics.full_well_e
-    if any(other.overflow for other in siblings):
-        largest_e += capacity_e
-    return min(held_e, largest_e * lowest / reading.conversion_gain_uv_per_e)
+    gains = [other.conversion_gain_uv_per_e or math.nan for other in siblings]
+    largest_e = physics.full_well_e + capacity_e * any(other.overflow for other in siblings)
+    limit_e = largest_e * min(gains) / (reading.conversion_gain_uv_per_e or math.nan)
+    return held_e if math.isnan(sum(gains)) else min(held_e, limit_e)
 
 
 def _reading_readout(
@@ -646,21 +659,26 @@ def _reading_readout(
     physics = replace(physics, full_well_e=limit_e, reset_noise_e=reset_e)
 
     adc = readout.adc
+    changes: dict[str, Any] = {}
     if adc.gain_e_per_dn is None:
-        adc = replace(adc, span_e=readout._pixels * limit_e)
+        changes["span_e"] = readout._pixels * limit_e
     elif gain_uv_per_e is not None and first.conversion_gain_uv_per_e is not None:
         ratio = first.conversion_gain_uv_per_e / gain_uv_per_e
-        adc = replace(adc, gain_e_per_dn=adc.gain_e_per_dn * ratio)
-    bits = adc.bits if reading.bits is None else reading.bits
-    adc = replace(adc, bits=bits)
+        changes["gain_e_per_dn"] = adc.gain_e_per_dn * ratio
+    if reading.bits is not None:
+        changes["bits"] = reading.bits
     if reading.black_level_dn is not None:
-        adc = replace(adc, black_level_dn=reading.black_level_dn)
         stated = {"black_level_dn": reading.black_level_dn}
+        changes |= stated
         physics = replace(physics, pixel=physics.pixel.model_copy(update=stated))
 
     before_e, after_e = readout.read_noise_e, readout.read_noise_after_gain_e
     if reading.read_noise_e is not None:
         before_e, after_e = reading.read_noise_e, 0.0
     return replace(
-        readout, physics=physics, adc=adc, read_noise_e=before_e, read_noise_after_gain_e=after_e
+        readout,
+        physics=physics,
+        adc=replace(adc, **changes),
+        read_noise_e=before_e,
+        read_noise_after_gain_e=after_e,
     )._with_black_level()

@@ -63,7 +63,7 @@ from pixsim.sensor.quantities import (
     Pitch,
     SaturatedFraction,
 )
-from pixsim.sensor.reading import Readout
+from pixsim.sensor.reading import Reading, Readout
 from pixsim.sensor.technology import load_technology
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal
@@ -139,15 +139,25 @@ def metered_motion(
     still_e_per_s : signal of that picture, (rows, columns)
     um_per_s : velocity [x, y] of the image on the sensor
 
-    Raises PixsimError for exposures one after another, of which each would see another picture.
+    Raises PixsimError for exposures of several times, of which each would see another picture.
     """
-    if any(reading.start_share or reading.start_s for reading in readout.readings):
-        hint = "Use a still scene, or exposures at one time, such as kind = 'split'."
-        got = "exposures one after another in light that moves"
-        raise invalid("pixel.readout", got, "light that stands still", hint)
+    _check_exposed_at_once(readout, "moves")
     exposure = with_metered_gain(exposure, readout, float(still_e_per_s.max()))
     time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
     return motion_in_frame(um_per_s, time_s, exposure), with_shared_time(exposure, time_s)
+
+
+def _check_exposed_at_once(readout: Readout, change: str) -> None:
+    """Raise PixsimError if collectors have exposures of their own, in light that moves, or that
+    flickers.
+    """
+    if any(
+        collector.start_share or collector.start_s or collector.length_share != 1
+        for collector in readout.merge.model[0]
+    ):
+        hint = "Exposures of kind = 'split' are at one time."
+        got = f"exposures of several times in light that {change}"
+        raise invalid("pixel.readout", got, "light that does not change", hint)
 
 
 # --- fixed pattern
@@ -164,6 +174,7 @@ class Sensor:
     dark_gain : (rows, columns) dark current relative to the mean pixel, positive, mean 1
     offset_e : (rows, columns)
     column_offset_e : (1, columns)
+    gain_errors : (rows, columns) of each reading whose gain scatters, relative; None of others
     further : the sensors of further photodiodes of each pixel, if it has several; without their
         own
     """
@@ -174,6 +185,7 @@ class Sensor:
     dark_gain: Array | None = field(repr=False)
     offset_e: Array | None = field(repr=False)
     column_offset_e: Array | None = field(repr=False)
+    gain_errors: tuple[Array | None, ...] = field(default=(), repr=False)
     further: tuple[Sensor, ...] = field(default=(), repr=False)
 
 
@@ -211,7 +223,21 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
         _draw_gaussian(column_spread_e, column_offset_e, rng)
     diodes = {reading.photodiode: reading.readout for reading in reversed(readout.readings)}
     further = tuple(sample_sensor(diodes[number], shape, rng) for number in sorted(diodes)[1:])
-    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e, further)
+    gain_errors = tuple(_gain_errors(reading, shape, rng) for reading in readout.readings)
+    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e, gain_errors, further)
+
+
+def _gain_errors(
+    reading: Reading, shape: tuple[int, int], rng: np.random.Generator
+) -> Array | None:
+    """Draw how far the gains of a reading are off their mean, (rows, columns), relative; None if
+    they do not scatter.
+    """
+    pixel_spread, column_spread = reading.gain_spreads
+    if not (pixel_spread or column_spread):
+        return None
+    columns = column_spread * rng.standard_normal(shape[1])
+    return np.asarray(columns + pixel_spread * rng.standard_normal(shape))
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -475,7 +501,7 @@ def read_electrons(
     """Return the merged photo-electrons of one frame of a sensor of several readings, (rows,
     columns).
     """
-    return _expose_readings(mean_e, integration_s, sensor, rng).estimate_e.astype(float)
+    return _expose_readings(mean_e, integration_s, sensor, rng)[1].astype(float)
 
 
 def _expose(
@@ -560,7 +586,7 @@ def _read_level(
     dn: NDArray[np.int32],
     work: Array,
     *,
-    gain_error: float = 0.0,
+    gain_error: Array | float = 0.0,
     black_error_dn: float = 0.0,
 ) -> tuple[NDArray[np.bool_], int]:
     """Write the codes of some rows to `dn`; return which pixels are full, and how many saturate.
@@ -598,26 +624,15 @@ def _read_level(
     return is_full | at_top, int(np.count_nonzero(is_saturating | at_top))
 
 
-@dataclass(frozen=True)
-class Merged:
-    """The readings of a frame, (rows, columns) each: their codes, the merged photo-electrons, and
-    which pixels are full in the last one.
-    """
-
-    dn: list[NDArray[np.int32]]
-    estimate_e: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
-
-
 def _expose_readings(
     mean_e: Array,
     integration_s: float,
     sensor: Sensor,
     rng: np.random.Generator,
     subexposures_e: Sequence[Array] = (),
-) -> Merged:
-    """Return the readings of all pixels, and their merge; of a burst, the sums over its
-    subexposures.
+) -> tuple[dict[str, NDArray[np.int32]], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the codes of all readings by their names, the merged photo-electrons, and which pixels
+    are full in the last reading, (rows, columns) each; of a burst, sums over its subexposures.
 
     subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
     """
@@ -631,30 +646,29 @@ def _expose_readings(
     estimate_e = np.zeros(mean_e.shape, np.float32)
     saturated = np.zeros(mean_e.shape, bool)
     # Neighbours of a row belong to the merge of maximum likelihood.
-    is_by_rows = readout.merge is None or readout.merge.merge != "max_likelihood"
+    is_by_rows = readout.merge.merge != "max_likelihood"
 
     def merge(rows: slice) -> None:
         dn = [code[rows] for code in codes]
         estimate_e[rows] += merged_e(readout, charges_of_codes_e(readout, dn), time_s)
 
-    def expose(block: slice, rng: np.random.Generator, photo_e: Array, scale: float) -> None:
+    def expose(block: slice, rng: np.random.Generator, photo_e: Array) -> None:
         for part in strips(block.stop - block.start, columns):
             rows = slice(block.start + part.start, block.start + part.stop)
             dn = [code[rows] for code in codes]
-            saturated[rows] |= _read_rows(scale * photo_e[rows], time_s, sensor, rows, rng, dn)
+            saturated[rows] |= _read_rows(photo_e[rows], time_s, sensor, rows, rng, dn)
             if is_by_rows:
                 merge(rows)
 
-    for number in range(count):
-        photo_e = subexposures_e[number] if subexposures_e else mean_e
-        scale = 1.0 if subexposures_e else 1 / count
-        _by_block(partial(expose, photo_e=photo_e, scale=scale), mean_e.shape, rng)
+    for photo_e in subexposures_e or [mean_e if count == 1 else mean_e / count] * count:
+        _by_block(partial(expose, photo_e=photo_e), mean_e.shape, rng)
         if not is_by_rows:
             merge(slice(None))
         if count > 1:
             for total, code in zip(total_dn, codes, strict=True):
                 total += code
-    return Merged(total_dn, estimate_e, saturated)
+    names = [reading.name for reading in readout.readings]
+    return dict(zip(names, total_dn, strict=True)), estimate_e, saturated
 
 
 def _read_rows(
@@ -675,7 +689,9 @@ def _read_rows(
     charges_e: dict[int, NDArray[Any]] = {}
     capacitors_e: dict[int, NDArray[Any]] = {}
     is_full = np.zeros(light_e.shape, bool)
-    for reading, codes in zip(sensor.readout.readings, dn, strict=True):
+    for reading, gain_errors, codes in zip(
+        sensor.readout.readings, sensor.gain_errors, dn, strict=True
+    ):
         diode = sensor if not reading.photodiode else sensor.further[reading.photodiode - 1]
         readout = reading.readout
         if reading.collector not in charges_e:
@@ -699,7 +715,7 @@ def _read_rows(
             rng,
             codes,
             work[0],
-            gain_error=reading.gain_error,
+            gain_error=reading.gain_error + (0.0 if gain_errors is None else gain_errors[rows]),
             black_error_dn=reading.black_error_dn,
         )
     return is_full
@@ -969,9 +985,11 @@ def capture_from_rates(
     each : (rows, columns) rates in each subexposure of a burst, whose mean is the signal; empty if
         all are the same
 
-    Raises PixsimError if the shape differs from the sensor's, or if the electrons are too many for
-    the numbers of the rates.
+    Raises PixsimError if the shape differs from the sensor's, if the electrons are too many for the
+    numbers of the rates, and for exposures of several times in light that flickers.
     """
+    if exposure.flickers:
+        _check_exposed_at_once(sensor.readout, "flickers")
     exposure = with_metered_gain(exposure, sensor.readout, float(signal_e_per_s.max()))
     readout = sensor.readout.at(exposure)
     if signal_e_per_s.shape != sensor.shape:
@@ -1001,10 +1019,17 @@ def capture_from_rates(
     exposed = sensor if readout is sensor.readout else replace(sensor, readout=readout)
     subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
     if readout.readings:
-        merged = _expose_readings(mean_e, time_s, exposed, rng, subexposures_e)
-        return merged_frame(merged, mean_e, time_s, readout, exposure)
+        readings, estimate_e, saturated = _expose_readings(
+            mean_e, time_s, exposed, rng, subexposures_e
+        )
+        return MergedFrame(
+            **_frame_fields(mean_e, time_s, readout, float(saturated.mean()), saturated),
+            corrected_e=estimate_e,
+            readings=readings,
+            readout=readout,
+        )
     dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)
-    return _frame(dn, fraction, mean_e, time_s, readout, exposure, saturated)
+    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, fraction, saturated))
 
 
 def make_frame(
@@ -1028,7 +1053,8 @@ def make_frame(
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, readout, brightest_e_per_s)
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, readout)
-    return _frame(dn, saturated_fraction, mean_e, time_s, readout, exposure, saturated)
+    readout = readout.at(exposure)
+    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, saturated_fraction, saturated))
 
 
 def _mean_e(
@@ -1049,47 +1075,6 @@ def _mean_e(
     return signal_e_per_s * time_s
 
 
-def _frame(
-    dn: NDArray[np.int32],
-    saturated_fraction: float,
-    mean_e: Array,
-    time_s: float,
-    readout: Readout,
-    exposure: Exposure,
-    saturated: NDArray[np.bool_] | None,
-) -> Frame:
-    readout = readout.at(exposure)
-    dn_per_e = readout.dn_per_e
-    if not dn_per_e < math.inf:
-        raise invalid(
-            "dn_per_e",
-            f"{dn_per_e}",
-            "a finite number",
-            "Use a larger full well, or more electrons per DN.",
-        )
-    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, saturated_fraction, saturated))
-
-
-def merged_frame(
-    merged: Merged, mean_e: Array, time_s: float, readout: Readout, exposure: Exposure
-) -> MergedFrame:
-    """Return the frame of merged readings.
-
-    mean_e : mean photo-electrons of the first collector, (rows, columns)
-    """
-    readout = readout.at(exposure)
-    names = [reading.name for reading in readout.readings]
-    fields = _frame_fields(
-        mean_e, time_s, readout, float(merged.saturated.mean()), merged.saturated
-    )
-    return MergedFrame(
-        **fields,
-        corrected_e=merged.estimate_e,
-        readings=dict(zip(names, merged.dn, strict=True)),
-        readout=readout,
-    )
-
-
 def _frame_fields(
     mean_e: Array,
     time_s: float,
@@ -1097,7 +1082,13 @@ def _frame_fields(
     saturated_fraction: float,
     saturated: NDArray[np.bool_] | None,
 ) -> dict[str, Any]:
-    """Return the fields of a frame beside its codes."""
+    """Return the fields of a frame beside its codes. Raises PixsimError if the gain is infinite.
+
+    readout : in the exposure of the frame
+    """
+    if not readout.dn_per_e < math.inf:
+        hint = "Use a larger full well, or more electrons per DN."
+        raise invalid("dn_per_e", f"{readout.dn_per_e}", "a finite number", hint)
     physics = readout.physics
     return {
         "mean_e": mean_e,

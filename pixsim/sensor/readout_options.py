@@ -101,6 +101,16 @@ class ReadingOptions(Record):
             " the reset noise of the pixel)"
         ),
     )
+    gain_spread: GainSpread = Field(
+        0.0,
+        description=(
+            "standard deviation over pixels of its gain over the mean, beside the PRNU of the"
+            " collector"
+        ),
+    )
+    column_gain_spread: GainSpread = Field(
+        0.0, description="standard deviation over columns of its gain over the mean"
+    )
     gain_error: Annotated[float, Field(ge=-0.9, le=10)] = Field(
         0.0, description="error of its gain, relative, of which the merge does not know"
     )
@@ -146,6 +156,15 @@ class ReadoutOptions(Record):
         0.9, description="share of the limit of the sensitive reading at which a blend ends"
     )
 
+    area_um2: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        0.0,
+        description=(
+            "area that its circuits take from the photodiode: fill factor × (1 - area_um2/pitch²);"
+            " about 9 a transistor at 0.35 µm, 0.04 in a back-lit 65 nm process (a third, and a"
+            " quarter, of what the fill-factor laws leave out), and capacity_e/40 000 for a"
+            " capacitor in the silicon, 0 for one above it"
+        ),
+    )
     conversion_gain_uv_per_e: _Gains | None = Field(
         None, description="conversion gains of the readings; dual_gain and overflow: [high, low]"
     )
@@ -204,29 +223,21 @@ class ReadoutOptions(Record):
         if self.collector or self.reading:
             _check_full(self)
             return self
-        numbers = _NUMBERS[self.kind]
-        for name, lengths in numbers.items():
-            value = getattr(self, name)
-            length = len(value) if isinstance(value, tuple) else 1
-            if (value is None and None not in lengths) or (
-                value is not None and length not in lengths
-            ):
-                counts = " or ".join(str(count) for count in lengths if count)
-                got = f"no {name}" if value is None else f"{name} of {length} numbers"
-                raise ValueError(
-                    f"got {got} with kind = '{self.kind}'; allowed: {name} of {counts} numbers"
-                )
+        required, optional = _KINDS[self.kind]
         fields = ReadoutOptions.model_fields
-        further = [
+        problems = [f"no {name}" for name in required if getattr(self, name) is None]
+        problems += [
             name
             for name in _NUMBERS_OF_KINDS
-            if name not in numbers and getattr(self, name) != fields[name].default
+            if name not in (*required, *optional) and getattr(self, name) != fields[name].default
         ]
-        if further:
+        if problems:
+            allowed = " and ".join(filter(None, (", ".join(required), ", ".join(optional))))
             raise ValueError(
-                f"got {', '.join(further)} with kind = '{self.kind}', which does not use it;"
-                f" allowed: {', '.join(numbers) or 'no numbers'}"
+                f"got {', '.join(problems)} with kind = '{self.kind}'; allowed:"
+                f" {allowed or 'no numbers'}"
             )
+        _model(self)  # which compares the lengths of lists
         if self.blend_from_share >= self.blend_to_share:
             raise ValueError(
                 f"got blend_from_share = {self.blend_from_share:g}; allowed: below blend_to_share,"
@@ -290,6 +301,12 @@ def _tables(
     that of all further names.
     """
     stated = {field: getattr(options, field) for field in lists if getattr(options, field)}
+    for field, values in stated.items():
+        if len(values) not in (1, len(names)):
+            raise ValueError(
+                f"got {field} of {len(values)} numbers with kind = '{options.kind}'; allowed:"
+                f" one, or one for each of {', '.join(names)}"
+            )
     return [
         {"name": name}
         | {field: values[min(index, len(values) - 1)] for field, values in stated.items()}
@@ -328,29 +345,20 @@ def _model(
     )
 
 
-# Of each kind: its fields, and how many numbers they may have; None for fields that may be absent.
-_NUMBERS: dict[str, dict[str, tuple[int | None, ...]]] = {
-    "single": {},
-    "dual_gain": {
-        "conversion_gain_uv_per_e": (2,),
-        "full_well_e": (1, None),
-        "read_noise_e": (2, None),
-    },
-    "split": {
-        "response": (2,),
-        "full_well_e": (2,),
-        "read_noise_e": (2, None),
-        "conversion_gain_uv_per_e": (2, None),
-        "dark_current_e_per_s": (2, None),
-    },
-    "staggered": {"ratio": (1,), "count": (1,), "gap_us": (1,), "read_noise_e": (1, None)},
-    "overflow": {
-        "conversion_gain_uv_per_e": (2,),
-        "capacity_e": (1,),
-        "full_well_e": (1, None),
-        "read_noise_e": (2, None),
-        "resets": (1,),
-        "capacitor_dark_e_per_s": (1,),
-    },
+# Of each kind: the fields that it needs, and those that may be absent.
+_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "single": ((), ()),
+    "dual_gain": (("conversion_gain_uv_per_e",), ("full_well_e", "read_noise_e")),
+    "split": (
+        ("response", "full_well_e"),
+        ("read_noise_e", "conversion_gain_uv_per_e", "dark_current_e_per_s"),
+    ),
+    "staggered": (("ratio",), ("count", "gap_us", "read_noise_e")),
+    "overflow": (
+        ("conversion_gain_uv_per_e", "capacity_e"),
+        ("full_well_e", "read_noise_e", "resets", "capacitor_dark_e_per_s"),
+    ),
 }
-_NUMBERS_OF_KINDS = tuple(dict.fromkeys(name for fields in _NUMBERS.values() for name in fields))
+_NUMBERS_OF_KINDS = tuple(
+    dict.fromkeys(name for kind in _KINDS.values() for names in kind for name in names)
+)

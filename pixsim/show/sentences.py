@@ -32,12 +32,14 @@ def sentence(words: str) -> str:
 
 def setting_value(value: object, name: str = "") -> object:
     """Return the value of a setting for a table; a curve of (wavelength in nm, value) by its size
-    and range, and so is a table.
+    and range, and a table, or a list of tables, as words.
 
     name : of the setting
     """
     if isinstance(value, dict):
         return ", ".join(f"{name} {setting_value(inner, name)}" for name, inner in value.items())
+    if isinstance(value, tuple | list) and value and isinstance(value[0], dict):
+        return "; ".join(str(setting_value(inner)) for inner in value)
     if isinstance(value, tuple | list) and value and isinstance(value[0], tuple | list):
         lengths = dict.fromkeys(("chief_ray_angle", "relative_illumination", "fall_off"), " mm")
         unit = {**lengths, "tone_curve": " × white"}.get(name, " nm")

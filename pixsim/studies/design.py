@@ -39,6 +39,7 @@ from pixsim.sensor.pixel import (
     fill_factor_law,
     largest_pitch_um,
     pitch_for_fill_factor_um,
+    share_beside_readout,
 )
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.quantities import Pitch
@@ -124,6 +125,7 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
     fill_factor = options.fill_factor or np.maximum(
         fill_factor_law(pitch_um, process), MIN_FRACTION
     )
+    fill_factor = fill_factor * share_beside_readout(pitch_um, options.readout_area_um2)
     return np.asarray(np.sqrt(fill_factor) * pitch_um)
 
 
@@ -172,9 +174,8 @@ def study_pitches_um(study: Study, technology: str) -> Array:
     low, high = study.open_range_um
     source = "pitch.min_um"
     if low is None:
-        process = with_fill_factor_law(
-            technology_of(study, technology), study.options_of(technology).fill_factor_law
-        )
+        options = study.options_of(technology)
+        process = with_fill_factor_law(technology_of(study, technology), options.fill_factor_law)
         if process.name == NO_TECHNOLOGY:
             got = f"no value, with {technology} among other technologies"
             expected = "a smallest pixel size, or pitch.values_um"
@@ -184,7 +185,9 @@ def study_pitches_um(study: Study, technology: str) -> Array:
                 expected,
                 "A data sheet has no fill factors from which to derive it.",
             )
-        low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
+        low = pitch_for_fill_factor_um(
+            study.pitch.min_fill_factor, process, options.readout_area_um2
+        )
         source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
     if low >= largest_um:
         hint = "Raise pixel.stack.height_um, or set pixel.stack.microlens = 'none'."

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,12 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.scene.charts import MAX_LP_PER_MM, csf_contrast, csf_frequency_on_sensor
+from pixsim.sensor.dynamic_range import (
+    DynamicRange,
+    readout_range,
+    readout_snr_db,
+    switches_of_frame_e,
+)
 from pixsim.sensor.integration import (
     M2_PER_UM2,
     collecting_area_um2,
@@ -29,7 +36,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
 from pixsim.studies.settings import Study, paths_of
 from pixsim.viewer.chain import ExpectedFrame, make_chain
-from pixsim.viewer.display import picture_size_um
+from pixsim.viewer.display import picture_size_um, white_cd_per_m2, white_w_per_m2_sr
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.mtf import mtf_terms, terms_to_sensor
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
@@ -282,6 +289,69 @@ def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
         chain = make_chain(rendered.imaging.at(best.pitch_um).registered(0), rendered.light())
         neq_curves[curve.label] = NeqCurve.of(chain.expected(chain.integration_s))
     return neq_curves
+
+
+THRESHOLDS_DB = (0.0, 6.0, 12.0, 20.0, 30.0, 40.0)  # of the ranges of a pixel's SNR
+_SNR_POINTS = 301
+_DARKEST = 0.3  # of the noise in the dark: -10 dB
+_STEP = 1e-9  # relative, beside a switch
+
+
+@dataclass(frozen=True)
+class SnrCurve:
+    """The SNR of several readings of a pixel and of their merge, by temporal noise, against the
+    light.
+
+    charge_e : mean electrons of light in the first collector in a frame, (n,), rising
+    cd_per_m2_per_e : luminance of the scene's white on axis, over its charge; None for light that
+        has none
+    merged_db : SNR of the merge, (n,); -inf where the last reading is full
+    readings_db : of each reading alone, (n,), by its name
+    switches_e : charge at which the merge changes its readings, and the SNR in dB that this costs
+    ranges : where the SNR of the merge is at least each of `THRESHOLDS_DB`
+    """
+
+    charge_e: Array
+    cd_per_m2_per_e: float | None
+    merged_db: Array
+    readings_db: dict[str, Array]
+    switches_e: tuple[tuple[float, float], ...]
+    ranges: tuple[DynamicRange, ...]
+
+
+def run_snr(result: RunResult) -> SnrCurve | None:
+    """Return the SNR of the pixel of a run in its exposure; None for a pixel that is read once."""
+    chain = result.chain
+    if not chain.readout.readings:
+        return None
+    time_s = result.score.frame.integration_s
+    readout = chain.readout.at(chain.exposure)
+    snr_db = partial(readout_snr_db, readout, integration_s=time_s)
+    ranges = tuple(readout_range(readout, threshold_db, time_s) for threshold_db in THRESHOLDS_DB)
+
+    largest_e = ranges[0].largest_e
+    at_e = [level_e for level_e in switches_of_frame_e(readout, time_s) if level_e < largest_e]
+    beside_e = np.outer([1 - _STEP, 1 + _STEP], at_e)
+    before_db, after_db = snr_db(charge_e=beside_e)
+    darkest_e = _DARKEST * ranges[0].dark_noise_e
+    levels_e = np.geomspace(darkest_e, (1 - _STEP) * largest_e, _SNR_POINTS)
+    charge_e = np.sort(np.append(levels_e, beside_e))
+    display = result.settings.display
+    cd_per_m2_per_e = None
+    if white_w_per_m2_sr(result.irradiance, display) is None:
+        white_e = chain.white_e_per_s * time_s
+        cd_per_m2_per_e = white_cd_per_m2(result.irradiance, display) / white_e
+    return SnrCurve(
+        charge_e,
+        cd_per_m2_per_e,
+        snr_db(charge_e=charge_e),
+        {
+            reading.name: snr_db(charge_e=charge_e, reading=reading.name)
+            for reading in readout.readings
+        },
+        tuple(zip(at_e, (before_db - after_db).tolist(), strict=True)),
+        ranges,
+    )
 
 
 def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:

@@ -907,7 +907,11 @@ def prepare(
     if light is not None:
         light = light.identified
         study = with_given_light(study, variant)
-    check_axis_names(study, (DELTA_E, *metrics_of(study).chosen))
+    metrics = metrics_of(study).chosen
+    check_axis_names(study, (DELTA_E, *metrics))
+    if not metrics[0].has_optimum:
+        got = f"'{metrics[0].name}' first, which has no best pixel size"
+        raise invalid("metrics", got, "another metric first, as delta_e")
 
     # Display and chart are chosen for the study without its axes, so that all of its cases are
     # comparable.

@@ -33,7 +33,8 @@ from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.colour_options import binned_cell
 from pixsim.sensor.correction import flat_light_e, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.merge import LINES, line_variance_e2
+from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.demosaic import (
@@ -48,6 +49,7 @@ from pixsim.viewer.demosaic import (
 )
 from pixsim.viewer.denoising import wiener
 from pixsim.viewer.denoising.filters import denoised_plane
+from pixsim.viewer.denoising.variance_table import VarianceTable
 from pixsim.viewer.develop import balance, demosaic_method
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import fits_single, relative_to_white
@@ -56,6 +58,9 @@ from pixsim.viewer.sharpening import unsharp_mask, unsharp_products
 from pixsim.viewer.tone import toned
 
 SATURATED = 0.99  # of the saturation level
+_NOISE_LEVELS = 1024  # of a table of the noise of merged readings
+_NOISE_SIGMAS = 6.0  # by which it exceeds a picture
+_DARKEST_E = 1e-2  # its first level above 0
 _MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 
 
@@ -291,8 +296,9 @@ def noise_of_expected_e2(
     column loses, is shared by it, and so are the offsets that rows have in dark and flat frames by
     the rows.
     """
-    row_e2 = float(variance_e2(readout, is_temporal=True, along="row"))
-    column_e2 = float(variance_e2(readout, is_temporal=False, along="column"))
+    column_e2, row_e2 = (
+        float(np.mean(line_variance_e2(readout, signal_e, integration_s, along))) for along in LINES
+    )
     if not correction.is_on:
         total_e2 = frame_variance_dn2(signal_e, integration_s, readout) / readout.dn_per_e**2
         return np.maximum(total_e2 - row_e2 - column_e2, 0.0), column_e2, row_e2
@@ -419,15 +425,39 @@ def _denoise(picture: Array, raw: UndevelopedFrame) -> Array:
         return picture
 
     assert develop.denoise != "none"
-    gaussian_e2 = white_noise_e2(raw.readout, frame.integration_s, raw.imaging.correction)
+    # Shot noise is that of light and dark charge together.
+    dark_e = frame.mean_dark_e
+    noise: float | VarianceTable = white_noise_e2(
+        raw.readout, frame.integration_s, raw.imaging.correction
+    )
+    if raw.readout.readings:
+        dark_e = 0.0
+        noise = _noise_of_merge(picture, raw)
     for plane in planes:
-        # Shot noise is that of light and dark charge together.
-        charge_e = plane + frame.mean_dark_e
         filtered_e = denoised_plane(
-            charge_e, gaussian_e2, develop.denoise, develop.denoise_strength
+            plane + dark_e, noise, develop.denoise, develop.denoise_strength
         )
-        plane[...] = filtered_e - frame.mean_dark_e
+        plane[...] = filtered_e - dark_e
     return picture
+
+
+def _noise_of_merge(picture: Array, raw: UndevelopedFrame) -> VarianceTable:
+    """Return the temporal noise of merged readings at the levels of a picture."""
+    correction = raw.imaging.correction
+    time_s = raw.frame.integration_s
+
+    def temporal_e2(level_e: Array) -> Array:
+        return np.asarray(residual_variance_e2(level_e, time_s, raw.readout, correction).temporal)
+
+    ends_e = np.array([0.0, max(float(picture.max()), 1.0)])
+    margins_e = _NOISE_SIGMAS * np.sqrt(temporal_e2(ends_e))
+    below_e = min(float(picture.min()), 0.0) - margins_e[0]
+    above_e = ends_e[1] + margins_e[1]
+    level_e = np.append(
+        np.linspace(below_e, 0.0, _NOISE_LEVELS // 8),
+        np.geomspace(_DARKEST_E, above_e, _NOISE_LEVELS),
+    )
+    return VarianceTable(level_e, temporal_e2(np.maximum(level_e, 0.0)))
 
 
 def _white_balance(picture: Array, raw: UndevelopedFrame) -> Array:
@@ -651,9 +681,12 @@ def noise_covariance(
     readout = raw.readout
     layout = raw.layout
     electrons_e = np.maximum(levels, 0.0) * raw.white_e
-    column_e = constant_e(readout, along="column")
-    row_e = constant_e(readout, along="row")
-    total_dn2 = frame_variance_dn2(electrons_e, raw.frame.integration_s, readout)
+    time_s = raw.frame.integration_s
+    column_e, row_e = (
+        float(np.sqrt(np.mean(line_variance_e2(readout, electrons_e, time_s, along))))
+        for along in LINES
+    )
+    total_dn2 = frame_variance_dn2(electrons_e, time_s, readout)
     pixel_e2 = total_dn2 / readout.dn_per_e**2 - column_e**2 - row_e**2
 
     count = len(raw.white_e)

@@ -102,6 +102,17 @@ class _SnrIlluminance(Record):
     )
 
 
+class ContrastDetection(Record):
+    """Settings of the metric contrast_detection_probability."""
+
+    contrast: Annotated[float, Field(ge=1e-4, le=100)] = Field(
+        0.1, description="Weber contrast of a brighter pixel to each pixel of the frame"
+    )
+    tolerance: Annotated[float, Field(ge=1e-3, le=1)] = Field(
+        0.5, description="contrasts that differ by at most this share count as detected"
+    )
+
+
 class Niirs(Record):
     """Settings of the metric niirs."""
 
@@ -129,6 +140,9 @@ class MetricOptions(Record):
     information: Information = Field(Information(), description="settings of information")
     snr10_lx: _SnrIlluminance = Field(_SnrIlluminance(), description="settings of snr10_lx")
     niirs: Niirs = Field(Niirs(), description="settings of niirs")
+    contrast_detection_probability: ContrastDetection = Field(
+        ContrastDetection(), description="settings of contrast_detection_probability"
+    )
 
 
 METRIC_OPTIONS = MetricOptions()

@@ -9,13 +9,20 @@ from importlib import metadata
 from pixsim.base.errors import did_you_mean, invalid, one_line
 from pixsim.base.schema import KEY
 from pixsim.viewer.metrics import DELTA_E, ROW_COLUMNS, Metric, columns_of_metrics, user_metric
-from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, SNR10_LX
+from pixsim.viewer.raw_metrics import (
+    CONTRAST_DETECTION,
+    DETECTABILITY,
+    INFORMATION,
+    MTF50,
+    NIIRS,
+    SNR10_LX,
+)
 from pixsim.viewer.score import Score
 from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, NPWE, VISUAL_NOISE
 
 _NameOrFunction = str | Callable[[Score], float]
 _GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
-_FRAME_METRICS = DETECTABILITY, INFORMATION, MTF50, NIIRS
+_FRAME_METRICS = DETECTABILITY, INFORMATION, MTF50, NIIRS, CONTRAST_DETECTION
 PICTURE_METRICS = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX
 METRICS: Mapping[str, Metric] = {
     metric.name: metric for metric in (DELTA_E, *_FRAME_METRICS, *PICTURE_METRICS)

@@ -18,13 +18,14 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.code_moments import COARSE_DN, FARTHEST_SIGMAS, moments_of_codes
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
-from pixsim.sensor.merge import merged_variance_e2
+from pixsim.sensor.merge import LINES, line_variance_e2, merged_variance_e2
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
-from pixsim.sensor.reading import Readout
+from pixsim.sensor.reading import Readout, with_merge
 from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.frame_under_test import FrameUnderTest
+from pixsim.viewer.metric_kernels.contrast_detection import detection_probability
 from pixsim.viewer.metric_kernels.information_density import (
     folded_spectrum,
     information_bits_per_mm2,
@@ -66,13 +67,19 @@ _TABLE_POINTS = 1025
 _HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second aliases is at 3.5
 
 
-def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: float) -> Array:
+def variance_of_pixels_e2(
+    readout: Readout, signal_e: Array | float, time_s: float, *, passing: bool = True
+) -> Array:
     """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in
     the shape of the signal.
+
+    passing : whether full readings that pass as valid count, of a pixel with several
     """
     if readout.readings:
-        merged_e2 = merged_variance_e2(readout, signal_e, time_s, fixed_pattern=True)
-        return np.maximum(merged_e2 - _line_variance_e2(readout), 0.0)
+        merged_e2 = merged_variance_e2(
+            readout, signal_e, time_s, fixed_pattern=True, passing=passing
+        )
+        return np.maximum(merged_e2 - _line_variance_e2(readout, signal_e, time_s), 0.0)
     dark_e = readout.dark_current_e_per_s * time_s
     alone_e2 = variance_e2(
         readout, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel"
@@ -84,9 +91,10 @@ def full_e(readout: Readout, time_s: float) -> float:
     """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark
     charge alone does it.
     """
-    dark_e = readout.dark_current_e_per_s * time_s
     if readout.readings:
-        return max(readout.saturation_e - dark_e, 0.0)
+        last = readout.readings[-1]
+        return max(readout.saturation_e - last.dark_e(time_s) / last.response, 0.0)
+    dark_e = readout.dark_current_e_per_s * time_s
     # Up to the top code `frame_mean_dn` is linear.
     top_e = (readout.top_code_dn - readout.black_level_dn) / readout.dn_per_e - dark_e
     well_e = saturation_level_e(time_s, readout) - dark_e
@@ -458,10 +466,12 @@ def _d_prime(frame: ExpectedFrame) -> float:
     quadratic = lit_e2 - float(np.mean(variance_e2(readout, along="pixel")))
     pixel_e2 = variance_of_pixels_e2(readout, (target_e + background_e) / 2, frame.integration_s)
     pixel_e2 += quadratic / 4 * difference_e**2
-    _check_rounding(readout, float(pixel_e2.min()))
+    _check_rounding(DETECTABILITY, readout, float(pixel_e2.min()))
 
-    column_e2 = float(np.mean(variance_e2(readout, along="column")))
-    row_e2 = float(np.mean(variance_e2(readout, along="row")))
+    column_e2, row_e2 = (
+        float(np.mean(line_variance_e2(readout, background_e, frame.integration_s, along)))
+        for along in LINES
+    )
     tables = code_tables(frame, target_e, background_e)
     if not tables:
         return detectability(difference_e, pixel_e2, column_variance=column_e2, row_variance=row_e2)
@@ -481,7 +491,7 @@ def _d_prime(frame: ExpectedFrame) -> float:
     return min(d_prime, MAX_D_PRIME)
 
 
-def _check_rounding(readout: Readout, variance_e2: float) -> None:
+def _check_rounding(metric: Metric, readout: Readout, variance_e2: float) -> None:
     """Raise NoNumberError if the ADC rounds away the noise of a pixel.
 
     variance_e2 : the smallest of the frame's pixels, with the rounding
@@ -496,7 +506,7 @@ def _check_rounding(readout: Readout, variance_e2: float) -> None:
     )
     hint = "Use more bits (pixel.bits) or more gain (exposure.gain_db)."
     allowed = f"at least {_MIN_SIGMA_DN:g} DN, so that rounding is noise"
-    raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
+    raise NoNumberError(str(invalid(f"the metric {metric.name}", got, allowed, hint)))
 
 
 def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
@@ -738,10 +748,7 @@ def _mean_level(frame: ExpectedFrame) -> _MeanLevel:
 
     level_e = np.array(mean_e)
     variance_e2 = variance_of_pixels_e2(frame.readout, mean_e, frame.integration_s)
-    tables = code_tables(frame, level_e)
-    if not tables:
-        return _MeanLevel(share, mean_e, float(variance_e2))
-    moments = code_moments(tables, level_e, variance_e2)
+    moments = code_moments(code_tables(frame, level_e), level_e, variance_e2)
     return _MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
@@ -876,19 +883,25 @@ def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
     dot_um = development.screen.dot_um or pitch_um
     pixels_across_dot = max(1.0, dot_um / pitch_um)
 
-    # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side, not as
-    # pixels.
-    pixel_e2 = float(variance_of_pixels_e2(readout, 0.0, options.integration_s))
-    illuminance_lx = snr10_lx(
-        development.white_e_per_s * options.integration_s,
-        white_cd_per_m2(frame.light.mean, development.screen.display),
-        reflectance=options.reflectance,
-        dark_variance_e2=pixel_e2 + pixels_across_dot * _line_variance_e2(readout),
-        prnu=readout.prnu,
-        pixels_per_dot=pixels_across_dot**2,
-        snr=options.snr,
-        saturation_e=readout.saturation_e,
-    )
+    # Of several readings the most sensitive one that reaches it. A dot is the mean of as many
+    # offsets of rows, and of columns, as pixels along its side, not as pixels.
+    for reading in with_merge(readout).readings:
+        alone = reading.readout.burst(readout.exposures)
+        pixel_e2 = float(variance_of_pixels_e2(alone, 0.0, options.integration_s))
+        pixel_e2 += reading.capacitor_e(options.integration_s)
+        line_e2 = float(_line_variance_e2(alone, 0.0, options.integration_s))
+        illuminance_lx = snr10_lx(
+            reading.response * development.white_e_per_s * options.integration_s,
+            white_cd_per_m2(frame.light.mean, development.screen.display),
+            reflectance=options.reflectance,
+            dark_variance_e2=pixel_e2 + pixels_across_dot * line_e2,
+            prnu=alone.prnu,
+            pixels_per_dot=pixels_across_dot**2,
+            snr=options.snr,
+            saturation_e=alone.saturation_e,
+        )
+        if illuminance_lx is not None:
+            break
     if illuminance_lx is None:
         got = f"pixels of {readout.physics.pitch_um:g} µm, which never reach it"
         allowed = f"pixels that reach an SNR of {options.snr:g} per dot"
@@ -898,11 +911,12 @@ def _snr10_lx(under_test: FrameUnderTest) -> tuple[float]:
     return (illuminance_lx,)
 
 
-def _line_variance_e2(readout: Readout) -> float:
-    """Return the variance of the offsets of columns and of rows together."""
-    column_e2 = float(np.mean(variance_e2(readout, along="column")))
-    row_e2 = float(np.mean(variance_e2(readout, along="row")))
-    return column_e2 + row_e2
+def _line_variance_e2(readout: Readout, signal_e: Array | float, time_s: float) -> Array:
+    """Return the variance of the offsets of columns and of rows together, in the shape of the
+    signal, or one for all.
+    """
+    column_e2, row_e2 = (line_variance_e2(readout, signal_e, time_s, along) for along in LINES)
+    return np.asarray(column_e2 + row_e2)
 
 
 SNR10_LX = Metric(
@@ -949,7 +963,7 @@ def _niirs(under_test: FrameUnderTest) -> tuple[float]:
         raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Shorten the exposure.")))
 
     noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))
-    noise_e2 += _line_variance_e2(readout)
+    noise_e2 += float(_line_variance_e2(readout, brighter_e, time_s))
     snr = (brighter_e - darker_e) / math.sqrt(noise_e2)
 
     # Lengths on the ground over those on the sensor.
@@ -976,5 +990,53 @@ NIIRS = Metric(
     bounds=(-1e3, 1e3),
     compute=_niirs,
     requirement=_requires_monochrome_and_distance,
+    needs_light=True,
+)
+
+
+def _contrast_detection(under_test: FrameUnderTest) -> tuple[float]:
+    """Return the mean over the pixels of a frame, each beside one that is brighter by the
+    contrast.
+    """
+    frame = under_test.expected
+    readout = frame.readout
+    options = under_test.options.contrast_detection_probability
+    levels_e = frame.signal_e, (1 + options.contrast) * frame.signal_e
+    tables = code_tables(frame, *levels_e)
+
+    means = []
+    deviations = []
+    for level_e in levels_e:
+        alone_e2 = variance_of_pixels_e2(readout, level_e, frame.integration_s, passing=False)
+        _check_rounding(CONTRAST_DETECTION, readout, float(alone_e2.min()))
+        moments = code_moments(tables, level_e, alone_e2)
+        means.append(moments.mean_e)
+        line_e2 = _line_variance_e2(readout, level_e, frame.integration_s)
+        total_e2 = moments.variance_e2 + moments.offset_slope**2 * line_e2
+        deviations.append(np.sqrt(np.maximum(total_e2, (_MIN_DEVIATION / readout.dn_per_e) ** 2)))
+    probability = detection_probability(
+        (means[0], means[1]), (deviations[0], deviations[1]), options.contrast, options.tolerance
+    )
+    return (float(np.mean(probability)),)
+
+
+CONTRAST_DETECTION = Metric(
+    name="contrast_detection_probability",
+    title="contrast detection probability",
+    unit="",
+    better="more",
+    judges="raw frame",
+    source=(
+        "CDP of IEEE P2020, of single pixels in the mean over the frame; Geary, J. R. Stat. Soc. 93"
+        " (1930) 442"
+    ),
+    unseen=(
+        "blur, aliases and what is in the picture: the level of each pixel counts alone; and"
+        " corrections of the frame"
+    ),
+    columns=("contrast_detection_probability",),
+    bounds=(0.0, 1.0),
+    compute=_contrast_detection,
+    has_optimum=False,
     needs_light=True,
 )

@@ -157,16 +157,19 @@ def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
     """Return the numbers of a row that no metric gives: of the pixel and of the frame.
 
     `share_of_full_well` is the mean charge of the brightest pixel, light and dark, over the full
-    well; above 1 it is more than the pixel holds.
+    well, or over what fills the last of several readings; above 1 it is more than the pixel holds.
     """
     brightest_e = float(frame.mean_e.max()) + frame.mean_dark_e
+    full_e = frame.exposures * readout.full_well_e
+    if readout.readings:
+        full_e = readout.burst(frame.exposures).saturation_e
     return {
         "pitch_um": readout.physics.pitch_um,
         "fill_factor": readout.physics.fill_factor,
         "full_well_e": readout.full_well_e,
         "integration_s": frame.integration_s,
         "saturated_fraction": frame.saturated_fraction,
-        "share_of_full_well": brightest_e / (frame.exposures * readout.full_well_e),
+        "share_of_full_well": brightest_e / full_e,
         "mean_electrons_e": float(frame.mean_e.mean()),
     }
 

@@ -52,10 +52,6 @@ def store_zeros(key: str, mib: float = 1.0) -> None:
     cache.store_arrays("kind", key, {"zeros": np.zeros(int(mib * 2**20), np.uint8)})
 
 
-def size_bytes() -> int:
-    return sum(entry.size_bytes for entry in cache.entries())
-
-
 # --- What is read
 # --------------------------------------------------------------------------------------------------
 
@@ -256,7 +252,8 @@ def test_the_least_recently_used_are_removed_beyond_the_limit(folder, monkeypatc
         store_zeros(f"{number:02d}")
         os.utime(folder / f"kind/{number:02d}.npz", (number, number))
         assert number == 0 or cache.arrays("kind", "00") is not None, "just used, but removed"
-        assert size_bytes() <= 9.5 * 2**20, "it stays near its limit"
+        size = sum(entry.size_bytes for entry in cache.entries())
+        assert size <= 9.5 * 2**20, "it stays near its limit"
     cache.trim()
     # 7 of a little more than 1 MiB fit into 8 MiB
     assert names(folder / "kind") == [f"{n:02d}.npz" for n in (0, 6, 7, 8, 9, 10, 11)]

@@ -233,10 +233,7 @@ def test_incomplete_data_sheet_states_the_technology_that_is_assumed(
         assert (study.technologies, study.pixel.data_sheet_pitch_um) == (("4t-bsi",), 6.0)
 
 
-def test_resolve_file_prefers_folder_of_config(
-    sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_resolve_file_prefers_folder_of_config(sheet: Path, here: Path) -> None:
     written(Path("qe.csv"), "400,0.1\n500,0.1\n")
     assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
     study = written(sheet.parent / "s.toml", 'name = "s"\n')

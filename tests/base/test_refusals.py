@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 from unittest.mock import patch
 
 import numpy as np
@@ -39,7 +39,7 @@ DATA = Path(pixsim.__file__).parent / "data"
 TECHNOLOGY = DATA / "technologies/0.35um.toml"
 INCOMPLETE = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}
 ADDED = {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
-CALLS: dict[str, tuple[Callable[[], Any], str]] = {
+CALLS: dict[str, tuple[Callable, str]] = {
     "a data sheet below the pitch of its process": (
         lambda: derive(Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0)),
         r"data_sheet_pitch_um: got 3; allowed: above 5\.13",
@@ -121,14 +121,11 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("case", CALLS)
-def test_settings_that_do_not_go_together_are_refused(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_settings_that_do_not_go_together_are_refused(case: str, here: Path) -> None:
     call, words = CALLS[case]
     with pytest.raises(pixsim.PixsimError, match=words):
         call()
-    assert list(tmp_path.iterdir()) == []
+    assert list(here.iterdir()) == []
 
 
 @pytest.mark.parametrize("text", TEXTS)
@@ -164,10 +161,10 @@ def test_sizes_that_no_cache_can_have_are_refused(
 MAX_CPU_S = 5.0  # subnormal numbers make operations slow
 
 
-def checked_as(hint: Any) -> Callable[[Any], Any]:
+def checked_as(hint) -> Callable:
     """A public function that returns its argument."""
 
-    def value_of(pitch_um: Any) -> Any:
+    def value_of(pitch_um):
         return pitch_um
 
     value_of.__annotations__["pitch_um"] = hint
@@ -176,7 +173,7 @@ def checked_as(hint: Any) -> Callable[[Any], Any]:
 
 @pytest.mark.parametrize("bounds", [POSITIVE, Field(gt=0)], ids=["function", "record"])
 @pytest.mark.parametrize("value", [5e-324, 9e-31, -1e-320, 0.0])
-def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
+def test_arguments_above_0_are_not_tiny(bounds, value: float) -> None:
     """Also in arrays; 1e-30 is the smallest."""
     words = r"pitch_um.*: got .*allowed: .*number.* above 0 \(1e-30 or more\)"
     for kind, argument in (
@@ -197,7 +194,7 @@ def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
         (Field(ge=2, lt=3.5), [2.0, 2.5, 3.0]),
     ],
 )
-def test_functions_share_the_bounds_of_records(field: Any, allowed: list[float]) -> None:
+def test_functions_share_the_bounds_of_records(field, allowed: list[float]) -> None:
     function = checked_as(Annotated[float, field])
     record = create_model("Shared", __base__=Record, number=(Annotated[float, field], 2.0))
     for value in allowed:

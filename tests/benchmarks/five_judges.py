@@ -19,7 +19,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from helpers.documents import ROOT, blocks_of
+from helpers.documents import ROOT
+from references.pages import blocks_of
 
 import pixsim
 from pixsim.studies.files import load_study

@@ -16,7 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from helpers.documents import ROOT, Block, blocks_of
+from helpers.documents import ROOT
+from references.pages import Block, blocks_of
 
 GALLERY = ROOT / "docs/gallery"
 LINE = re.compile(r"^\*\*It takes\*\* .*?\.(?= |$)", re.MULTILINE)

@@ -20,15 +20,12 @@ from helpers.documents import (
     MADE_ON,
     OF_MACHINE,
     ROOT,
-    Block,
-    Page,
-    blocks_of,
     difference,
-    first_study,
     this_machine,
     words_of,
 )
-from helpers.notebooks import executed
+from references.notebooks import executed
+from references.pages import Block, Page, blocks_of, first_study
 
 MADE_ON_HEAD = """\
 # The processor and the packages that made the numbers and pictures of README.md and docs/. There, every digit comes out again.

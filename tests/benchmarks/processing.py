@@ -21,7 +21,8 @@ from scipy.special import stdtrit
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.five_judges import best_words, markdown
-from helpers.documents import ROOT, blocks_of
+from helpers.documents import ROOT
+from references.pages import blocks_of
 
 import pixsim
 from pixsim.studies.curve import Curve

@@ -28,7 +28,7 @@ RUN_FILES = {
     "settings.toml", "pixsim.json",
     "report.html",
 }  # fmt: skip
-SMALL = "--resolution 64 --display.dots 64"
+SMALL = "--resolution 48 --display.dots 48"
 SHEET = (
     "[pixel]\npitch_um = 4\nfull_well_e = 12000\nread_noise_e = 2.5\ndark_current_e_per_s ="
     " 8\nquantum_efficiency = 0.6\n"
@@ -47,9 +47,8 @@ def contents(folder: Path) -> dict[str, bytes | None]:
 
 
 @pytest.fixture
-def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def desk(here: Path) -> Path:
     """A working folder with invalid input."""
-    monkeypatch.chdir(tmp_path)
     flat = packaged_scenes()["flat"].read_text(encoding="utf-8")
     Path("charts").mkdir()
     pixsim.write_chart("charts/flat.exr", pixsim.make_chart("flat"))
@@ -83,7 +82,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     }
     for name, text in files.items():
         Path(name).write_text(text, encoding="utf-8")
-    return tmp_path
+    return here
 
 
 INVALID = {

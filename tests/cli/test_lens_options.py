@@ -4,7 +4,6 @@ error for what is wrong. tests/optics has all kinds of faults.
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers.commands import command
@@ -23,7 +22,7 @@ SLOW = (
 )
 # Settings of [lens] and [camera], and what the error names; tests/optics has what else may be wrong
 # with them, and with files.
-WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
+WRONG: list[tuple[dict, dict, str]] = [
     (
         {"file": "phone"},
         {"focal_length_mm": 4.0},
@@ -93,9 +92,8 @@ FILES: dict[str, tuple[str, bytes, str]] = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+def folder(here: Path) -> Path:
+    return here
 
 
 def assert_named(named: str, line: str, *words: str) -> None:
@@ -109,7 +107,7 @@ def assert_named(named: str, line: str, *words: str) -> None:
     ("lens", "camera", "named"), WRONG, ids=[named[:30] for *_, named in WRONG]
 )
 def test_wrong_lenses_are_one_error_in_toml_on_the_command_line_and_in_python(
-    folder: Path, lens: dict[str, Any], camera: dict[str, Any], named: str
+    folder: Path, lens: dict, camera: dict, named: str
 ) -> None:
     tables = {"lens": lens, "camera": camera}
     text = "".join(

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from copy import copy
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 from cyclopts import Argument, CoercionError, Token
@@ -98,7 +97,7 @@ def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:
         checked(pixsim.Motion, [file, Layer({"velocity_mm_per_s": "300"})])
 
 
-def converted(argument: Argument, *texts: str) -> list[Any]:
+def converted(argument: Argument, *texts: str) -> list:
     """What a command gets of an option that is given once for each text."""
     fresh = copy(argument)  # an argument keeps its first result
     fresh.tokens = [
@@ -237,13 +236,12 @@ INTERPOLATIONS = {"linear", "nearest", "cubic"}
     ],
 )
 def test_completion_knows_files_and_choices(
-    words: str, offered: set[str], others: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: str, offered: set[str], others: set[str], here: Path
 ) -> None:
     """At the last word, which may have begun."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder").mkdir()
+    (here / "folder").mkdir()
     for name in ("mine.xml", "mine.toml", "folder/other.toml"):
-        (tmp_path / name).touch()
+        (here / name).touch()
     out = output_of("__complete", *words.split(), *([] if words.endswith("/") else [""]))
     answers = {line.split("\t")[0] for line in out.split("\x1fbegin\n", 1)[1].splitlines()}
     assert answers & (offered | others) == offered
@@ -271,11 +269,8 @@ def test_completion_knows_files_and_choices(
         ("template sensor -o gone/far/a.toml", "gone"),
     ],
 )
-def test_command_missing_folder_is_named(
-    line: str, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "here").mkdir()
+def test_command_missing_folder_is_named(line: str, folder: str, here: Path) -> None:
+    (here / "here").mkdir()
     assert_refused(*command(line), [f"folder '{folder}' does not exist"])
 
 
@@ -284,7 +279,7 @@ def test_command_missing_folder_is_named(
 # ---------------------------------------------------------------------------------------------------
 
 # Command -> its function, and the record whose fields it takes as further keywords.
-FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
+FUNCTIONS: dict[str, tuple[Callable, type[BaseModel] | None]] = {
     "run": (pixsim.run, Run),
     "study": (pixsim.study, pixsim.Study),
     "compare": (pixsim.compare, pixsim.Study),

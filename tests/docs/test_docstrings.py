@@ -6,16 +6,13 @@ checked.
 """
 
 import ast
-import doctest
 import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass
 from functools import cache, cached_property
-from typing import Any
 
-import pytest
 from helpers.public_names import CLASSES, PUBLIC, fields
 
 from pixsim.base.bounds import without_bounds
@@ -159,7 +156,7 @@ def called(node: ast.AST) -> set[str]:
     }
 
 
-def function_of(thing: Any) -> Any:
+def function_of(thing):
     """The function behind a method or property, or None."""
     if isinstance(thing, property):
         return thing.fget
@@ -181,7 +178,7 @@ def description_of(name: str, text: str) -> str:
     return entry[1] if entry else text if is_in_prose else ""
 
 
-def complaints(name: str, function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
+def complaints(name: str, function: Callable) -> Iterator[tuple[str, str]]:
     """(rule, what is missing) for a function or a property's getter."""
     text = inspect.cleandoc(function.__doc__ or "")
     if not text:
@@ -273,45 +270,3 @@ def complaints_of_class(kind: type) -> Iterator[str]:
 def test_docstrings_of_classes_describe_their_fields() -> None:
     missing = {name: list(complaints_of_class(kind)) for name, kind in CLASSES.items()}
     assert {name: lacks for name, lacks in missing.items() if lacks} == {}
-
-
-# Functions for beginners, and kernels with a published number.
-SHOWN = (
-    *(
-        "load_scene",
-        "render",
-        "evaluate",
-        "study",
-        "Camera",
-        "derive",
-        "make_sensor",
-        "capture",
-        "delta_e_map",
-        "read_exr",
-    ),
-    *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
-    *("compare", "datasheet", "accuracy", "sfr", "lens"),
-    *(
-        "optics.irradiance_factor",
-        "optics.diffraction_otf",
-        "photodiode.collected_charge_e",
-        "pixel.fill_factor_law",
-    ),
-)
-
-
-@pytest.mark.slow
-def test_docstring_examples_pass() -> None:
-    """Their numbers are published values or closed forms."""
-    finder = doctest.DocTestFinder(exclude_empty=True, recurse=False)
-    runner = doctest.DocTestRunner()
-    report: list[str] = []
-    names = set()
-    for name, thing in PUBLIC.items():
-        plain = function_of(thing) or thing
-        scope = vars(importlib.import_module(plain.__module__))
-        for example in finder.find(plain, name, globs=dict(scope)):
-            names |= {name} if example.examples else set()
-            runner.run(example, out=report.append)
-    assert runner.failures == 0, "".join(report)
-    assert {f"pixsim.{name}" for name in SHOWN} <= names

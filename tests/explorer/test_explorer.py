@@ -19,7 +19,6 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +31,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.locks import UNFINISHED
 from pixsim.explorer import exploring, server
 from pixsim.explorer.controls import controls_of, presets_of
@@ -57,24 +55,24 @@ CONTROLLED_FIELDS = {
 }
 
 
-def answers(session: Session, request: PageRequest) -> list[dict[str, Any]]:
+def answers(session: Session, request: PageRequest) -> list[dict]:
     """What is sent for a request."""
-    sent: list[dict[str, Any]] = []
+    sent: list[dict] = []
     session.send = sent.append
     session.answer(request)
     return sent
 
 
-def pixels(uri: str) -> NDArray[Any]:
+def pixels(uri: str) -> NDArray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
 
 
-def with_pictures(messages: list[dict[str, Any]]) -> dict[str, Any]:
+def with_pictures(messages: list[dict]) -> dict:
     """The first message with pictures."""
     return next(message for message in messages if "pictures" in message)
 
 
-def final(messages: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def final(messages: list[dict]) -> list[dict]:
     """The messages whose errors are measured, one for each sensor."""
     return [message for message in messages if message.get("sure")]
 
@@ -88,7 +86,7 @@ def assert_repeats(words: list[object], out: Path, pictures: dict[str, str]) -> 
 
 
 @pytest.fixture(scope="module")
-def answered() -> tuple[Session, list[dict[str, Any]]]:
+def answered() -> tuple[Session, list[dict]]:
     session = Session("csf", (), SMALL)
     return session, answers(session, PageRequest(1, ((0, CONTROLLED_FIELDS),)))
 
@@ -126,8 +124,7 @@ def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
     assert_repeats(words, tmp_path / "out", with_pictures(answered[1])["pictures"])
 
 
-def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(here):
     light = pixsim.render(pixsim.load_scene("csf", resolution=64), pixsim.Camera())
     header = dict(light.header)
     session = Session(light, (), {name: SMALL[name] for name in ("pixel", "display")})
@@ -148,8 +145,7 @@ def test_cached_light_and_ideal_change_no_bit(answered):
     fresh = with_pictures(sent)["pictures"]
     for values in (
         {"pixel.pitch_um": 50.0},
-        {**CONTROLLED_FIELDS, "camera.f_number": 2.8},
-        {**CONTROLLED_FIELDS, "exposure.gain_db": 0.0},
+        {**CONTROLLED_FIELDS, "camera.f_number": 2.8, "exposure.gain_db": 0.0},
     ):
         answers(
             session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",))
@@ -173,9 +169,9 @@ def test_only_the_last_settings_count():
     """Other settings come while the first ones are computed: nothing more is said of these, and the
     curve of them ends.
     """
-    session, sent = Session("csf", (), SMALL), list[dict[str, Any]]()
+    session, sent = Session("csf", (), SMALL), []
 
-    def send(message: dict[str, Any]) -> None:
+    def send(message: dict) -> None:
         sent.append(message)
         if message["number"] == 1 and "point" in message:
             for number, pitch_um in ((2, 60.0), (3, 50.0)):
@@ -242,7 +238,7 @@ def test_controls_of_a_scene_follow_its_parameters(scene, path):
     ],
 )
 def test_page_names_no_files_and_no_impossible_values(values, word):
-    with pytest.raises(PixsimError, match=word):
+    with pytest.raises(pixsim.PixsimError, match=word):
         Session("csf", (), SMALL).answer(PageRequest(1, ((0, values),)))
 
 
@@ -291,7 +287,7 @@ def address_in(file: Path) -> tuple[int, str]:
 
 
 @contextlib.contextmanager
-def page_of(session: Session) -> Iterator[Any]:
+def page_of(session: Session) -> Iterator:
     """A session that is served, and computed in a thread."""
     with server.served(session) as file:
         port, token = address_in(file)
@@ -311,7 +307,7 @@ def connect_to(port: int, host: str, path: str = "/") -> http.client.HTTPConnect
     return connection
 
 
-def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
+def socket_of(port: int, origin: str | None, host: str | None = None):
     """A WebSocket as a page of an origin opens it, by a name of this machine."""
     connection = socket.create_connection(("127.0.0.1", port))
     return connect(
@@ -323,7 +319,7 @@ def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
 
 
 @contextlib.contextmanager
-def opened_page(page: Any) -> Iterator[Any]:
+def opened_page(page) -> Iterator:
     """The WebSocket of the page itself, after its greeting."""
     with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
         opened.send(json.dumps({"token": page.token}))
@@ -332,7 +328,7 @@ def opened_page(page: Any) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[Any]:
+def page() -> Iterator:
     with page_of(Session("csf", (), SMALL)) as served_page:
         yield served_page
 
@@ -396,7 +392,7 @@ def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
             opened.send(bad)
             assert "page: got" in json.loads(opened.recv(timeout=HANG_S))["error"], bad[:80]
         opened.send(REQUEST % (2, 0, ""))
-        messages: list[dict[str, Any]] = [{}]
+        messages: list[dict] = [{}]
         while not messages[-1].get("done"):
             messages.append(json.loads(opened.recv(timeout=HANG_S)))
         assert [message["sure"] for message in messages if "sure" in message] == [False, True]
@@ -593,7 +589,7 @@ def test_page_fits_and_axe_finds_nothing(width, scheme, tab):
     assert smallest_px >= MIN_TEXT_PX
     if not tab.value("typeof axe === 'object'"):
         tab.value(f"{Path(AXE).read_text(encoding='utf-8')}; 1")
-    violations: list[Any] = tab.value(
+    violations: list = tab.value(
         "axe.run(document, {resultTypes: ['violations'], runOnly:"
         f" {json.dumps(AXE_TAGS)}}}).then(found => found.violations.flatMap(each =>"
         " each.nodes.map(node => [each.id, node.target.join(' '), node.failureSummary])))"

@@ -2,8 +2,6 @@
 way.
 """
 
-from typing import Any
-
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
@@ -23,14 +21,14 @@ def imaging(
     pixel: Pixel,
     exposure: Exposure = AUTOMATIC,
     display: Display = USUAL,
-    **settings: Any,
+    **settings,
 ) -> Imaging:
     """Settings, with the technology that the pixel names."""
     return Imaging(camera, pixel, load_technology(pixel.technology), exposure, display, **settings)
 
 
 def scene_of(
-    image: SpectralImage, camera: Camera, pixel: Pixel, display: Display = USUAL, **settings: Any
+    image: SpectralImage, camera: Camera, pixel: Pixel, display: Display = USUAL, **settings
 ) -> PreparedScene:
     """The light behind the lens for a pixel, with its screen."""
     return prepare_scene(imaging(camera, pixel, display=display, **settings), SceneLight(image))
@@ -44,7 +42,7 @@ def imaging_chain(
     display: Display = USUAL,
     *,
     background: SpectralImage | None = None,
-    **settings: Any,
+    **settings,
 ) -> ImagingChain:
     """The imaging chain that `pixsim.evaluate` takes its frame from."""
     return reviewed_chain(

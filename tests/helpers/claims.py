@@ -19,7 +19,6 @@ A claim that fails says what the physics expects, what came, and by how much it 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,9 +49,7 @@ class Claim:
         check(self.name, self.call(), self.expected, rtol=self.rtol, atol=self.atol, why=self.why)
 
 
-def check(
-    name: str, value: Any, expected: Any, *, rtol: float = 0.0, atol: float = 0.0, why: str
-) -> None:
+def check(name: str, value, expected, *, rtol: float = 0.0, atol: float = 0.0, why: str) -> None:
     """Raises AssertionError with the expected value, the value and the worst miss in units of the
     tolerance.
     """

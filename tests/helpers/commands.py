@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import pydantic
 import pytest
@@ -25,11 +24,11 @@ from pixsim.cli.options import verbosity
 COMMAND = Path(sys.executable).with_name("pixsim")
 
 
-def remembering(function: Callable[..., Any]) -> Callable[..., Any]:
+def remembering(function: Callable) -> Callable:
     """Return a function that keeps its results, where its arguments can be keys."""
     cached = functools.cache(function)
 
-    def quick(*arguments: Any, **options: Any) -> Any:
+    def quick(*arguments, **options):
         try:
             return cached(*arguments, **options)
         except TypeError:  # what cannot be a key
@@ -46,9 +45,7 @@ quick_groups = remembering(_collection._resolve_groups_from_callable)
 arguments_of = remembering(Arguments._from_callable)
 
 
-def quick_arguments(
-    function: Callable[..., Any], *parameters: Any, reserved: Any = None, **groups: Any
-) -> Any:
+def quick_arguments(function: Callable, *parameters, reserved=None, **groups):
     """The arguments of a command, unread: copies of those that were made for it first."""
     made = arguments_of(function, *parameters, reserved=tuple(reserved or ()), **groups)
     copies = {id(argument): copy.copy(argument) for argument in made}

@@ -16,7 +16,6 @@ import pixsim
 from pixsim.cli.options import SceneOptions
 from pixsim.light.curves import read_curve
 from pixsim.light.exr import write_exr
-from pixsim.light.spectral import SpectralImage
 from pixsim.measure.sfr import read_edge_picture
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.exchange import read_with_camera, write_npz
@@ -67,7 +66,7 @@ ENVI = (
 )
 
 
-def light(factored: bool = False) -> SpectralImage:
+def light(factored: bool = False) -> pixsim.SpectralImage:
     values = np.random.default_rng(1).uniform(0.1, 1.0, (4, 5, 3)).astype(np.float32)
     content = (
         {"factors": (np.ones((1, 3)), values[:, :, :1].transpose(2, 0, 1))}
@@ -80,7 +79,7 @@ def light(factored: bool = False) -> SpectralImage:
         "parameters": {},
         "luminance_cd_per_m2": 100.0,
     }
-    return SpectralImage(NM, 10.0, 5.0, header=header, **content)
+    return pixsim.SpectralImage(NM, 10.0, 5.0, header=header, **content)
 
 
 def rows(path: Path) -> None:

@@ -53,26 +53,27 @@ def docstring(node: ast.AST) -> str:
     return (ast.get_docstring(node) or "") if isinstance(node, Scope) else ""
 
 
-def code_lines(module: ast.Module, text: str) -> int:
+def code_lines(scopes: list[Scope], text: str) -> int:
     """Number of lines that are neither blank, nor comments, nor docstrings."""
     lines = {
         number
         for number, line in enumerate(text.splitlines(), 1)
         if line.strip() and not line.strip().startswith("#")
     }
-    for node in ast.walk(module):
-        if isinstance(node, Scope) and docstring(node):
+    for node in scopes:
+        if docstring(node):
             lines -= set(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
     return len(lines)
 
 
 def count(path: Path) -> Counter[str]:
-    module, text = tree(path), path.read_text(encoding="utf-8")
-    documentation = [docstring(node) for node in ast.walk(module) if isinstance(node, Scope)]
+    nodes, text = list(ast.walk(tree(path))), path.read_text(encoding="utf-8")
+    scopes = [node for node in nodes if isinstance(node, Scope)]
+    documentation = [docstring(node) for node in scopes]
     return Counter(
         {
-            "nodes": sum(1 for _ in ast.walk(module)),
-            "code": code_lines(module, text),
+            "nodes": len(nodes),
+            "code": code_lines(scopes, text),
             "wide": sum(len(line) > WIDTH for line in text.splitlines()),
             "words": sum(len(text.split()) for text in documentation),
             "references": sum(

@@ -5,7 +5,6 @@ import importlib
 import inspect
 import sys
 from functools import cached_property
-from typing import Any
 
 import pixsim
 
@@ -66,7 +65,7 @@ def results() -> dict[str, type]:
     return classes
 
 
-def members(owner: type) -> dict[str, Any]:
+def members(owner: type) -> dict:
     """Public methods and properties of a class and of its bases in pixsim."""
     bases = [base for base in owner.__mro__ if base.__module__.startswith("pixsim.")]
     attributes = {
@@ -83,7 +82,7 @@ def members(owner: type) -> dict[str, Any]:
     }
 
 
-def fields(owner: type) -> dict[str, Any]:
+def fields(owner: type) -> dict:
     """Fields of a record or a dataclass, for users."""
     if hasattr(owner, "model_fields"):
         return dict(owner.model_fields)
@@ -91,9 +90,9 @@ def fields(owner: type) -> dict[str, Any]:
     return {field.name: field for field in found if not field.name.startswith("_")}
 
 
-def public() -> dict[str, Any]:
+def public() -> dict:
     """Functions, classes, methods and properties by their dotted name in the reference."""
-    names: dict[str, Any] = {
+    names: dict = {
         f"pixsim.{name}": getattr(pixsim, name) for name in pixsim.__all__ if name not in MODULES
     }
     short = {id(thing) for thing in names.values()}

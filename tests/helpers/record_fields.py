@@ -4,7 +4,7 @@ import importlib
 import math
 import pkgutil
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import TypeAdapter
 
@@ -12,10 +12,10 @@ import pixsim
 from pixsim.base.bounds import LARGEST, SMALLEST
 from pixsim.base.records import Record
 
-Table = dict[str, Any]
+Table = dict
 
 # Values of fields whose kind says too little.
-VALID: dict[tuple[str, str], Any] = {
+VALID = {
     ("set", "dict"): {"camera": {"f_number": 2.8}},
     ("colour", "model"): {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5},
     ("junction", "model"): pixsim.load_technology("0.35um").model_dump()["junction"],
@@ -36,7 +36,7 @@ def records() -> list[type[Record]]:
 WRAPPERS = ("nullable", "default", "function-before", "function-after", "function-wrap")
 
 
-def kind_of(schema: Any) -> Table:
+def kind_of(schema) -> Table:
     """The schema of pydantic without what may be None, defaults and validators around it."""
     while schema["type"] in WRAPPERS:
         schema = schema["schema"]
@@ -48,7 +48,7 @@ def fields(record: type[Record]) -> dict[str, Table]:
     """Name of a field as a file has it -> its kind."""
     kinds = {}
     for name, info in record.model_fields.items():
-        annotation: Any = info.annotation
+        annotation = info.annotation
         if info.metadata:
             annotation = Annotated[(annotation, *info.metadata)]
         kinds[info.alias or name] = kind_of(TypeAdapter(annotation).core_schema)
@@ -67,7 +67,7 @@ def ends(number: Table) -> tuple[float, float]:
     return low, number["lt"] - 1 if number["type"] == "int" else math.nextafter(number["lt"], 0)
 
 
-def inside(kind: Table) -> list[Any]:
+def inside(kind: Table) -> list:
     """Values at the ends of a kind, and next to them; none for a kind without ends."""
     match kind["type"]:
         case "float":
@@ -93,7 +93,7 @@ def inside(kind: Table) -> list[Any]:
     return []
 
 
-def valid(name: str, kind: Table, number: int) -> Any:
+def valid(name: str, kind: Table, number: int):
     """One of the values inside, or None."""
     values = inside(kind)
     return VALID.get((name, kind["type"]), values[number % len(values)] if values else None)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -18,22 +17,22 @@ FRAME = {"pixels": (8, 8), "integration_s": 0.01, "saturated_fraction": 0.0}
 
 def run_result(
     delta_e: Sequence[float],
-    header: dict[str, Any],
+    header: dict,
     film: FilmError | None = None,
     causes: Sequence[Cause] = (),
     *,
-    settings: dict[str, Any] | None = None,
-    frame: dict[str, Any] = FRAME,
+    settings: dict | None = None,
+    frame: dict = FRAME,
     pitch_um: float = 5.0,
     border_um: float = 0.0,
-    **known: Any,
+    **known,
 ) -> RunResult:
     """A run of sensors of these mean ΔE, with the errors of its light.
 
     settings : tables of `Run`
     known : properties in place of what would be computed
     """
-    prepared: Any = SimpleNamespace(
+    prepared = SimpleNamespace(
         settings=Run.model_validate(settings or {}),
         camera=Camera(),
         view={},
@@ -41,13 +40,13 @@ def run_result(
     )
     prepared.stated = prepared.settings
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
-    score: Any = SimpleNamespace(
+    score = SimpleNamespace(
         frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0]
     )
     noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0), bias={})
-    rendered: Any = film and SimpleNamespace(film=film, noise=noise)
-    light: Any = SimpleNamespace(header=header)
-    chain: Any = SimpleNamespace(colour_chart=None)
+    rendered = film and SimpleNamespace(film=film, noise=noise)
+    light = SimpleNamespace(header=header)
+    chain = SimpleNamespace(colour_chart=None)
     repeats = np.arange(len(delta_e))
     columns = {
         "pitch_um": np.full(repeats.size, pitch_um),

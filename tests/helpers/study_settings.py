@@ -1,10 +1,8 @@
 """Another value of each setting of a study."""
 
-from typing import Any
-
 # Another value of each setting, and the stages that it makes anew where the light is the same: a
 # light states in its header what it depends on, so that its hash alone tells of a render.
-CHANGES: dict[str, tuple[Any, str]] = {
+CHANGES: dict[str, tuple[object, str]] = {
     "scene": ({"file": "flat"}, "light"),
     "camera": ({"f_number": 5.6}, "light"),
     "lens": ({"file": "phone"}, "light"),

@@ -13,10 +13,9 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 WINDOWS, MACOS = "win32", "darwin"  # as `sys.platform`
-OTHER_VALUES: dict[str, dict[str, Any]] = {
+OTHER_VALUES: dict[str, dict] = {
     WINDOWS: {"name": "nt", "supports_dir_fd": set(), "supports_fd": set()},
     MACOS: {},
 }  # of os
@@ -75,7 +74,7 @@ class ModuleThere(ModuleType):
         others = {"os": OTHER_VALUES[system], "sys": {"platform": system}}
         vars(self).update(_real=real, _hidden=hidden, **others.get(real.__name__, {}))
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str):
         if name in self._hidden:
             raise AttributeError(
                 f"module '{self._real.__name__}' has no attribute '{name}' there", name=name
@@ -91,7 +90,7 @@ def hide(system: str) -> None:
     import_here = builtins.__import__
 
     def import_there(
-        name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+        name: str, globals=None, locals=None, fromlist=(), level: int = 0
     ) -> ModuleType:
         module = import_here(name, globals, locals, fromlist, level)
         importer = (globals or {}).get("__name__", "")

@@ -3,10 +3,8 @@
 import csv
 import json
 from pathlib import Path
-from typing import Any
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
 from pixsim.studies.design import Case
 from pixsim.studies.evaluate import RenderedCase, rendered_cases
 from pixsim.studies.lights import Light
@@ -18,7 +16,7 @@ PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
 # of a small study; and across one that tells its sizes apart.
 COARSE, FINE = 48, 384
 # Dim, so that few, coarse dots have a minimum between noise and blur.
-TINY: dict[str, Any] = {
+TINY = {
     "name": "tiny",
     "repeats": 2,
     "iso_delta_e": 1.0,
@@ -32,22 +30,22 @@ TINY: dict[str, Any] = {
     "pitch": {"values_um": PITCHES_UM},
     "display": {"dots": 48, "samples_per_deg": 10.0},
 }
-WHOLE_CHART: dict[str, Any] = {
+WHOLE_CHART = {
     "camera": {"die_mm": 2.7136},
     "display": {"dots": 96},
 }  # as in the paper, up to 33.3 lp/mm
 
 
-def tiny(**over: Any) -> pixsim.Study:
+def tiny(**over) -> pixsim.Study:
     return pixsim.Study.model_validate(merge(TINY, over))
 
 
-def tiny_toml(**over: Any) -> str:
+def tiny_toml(**over) -> str:
     """The same study as the text of a file."""
     return "".join(f"{name} = {toml_of(value)}\n" for name, value in merge(TINY, over).items())
 
 
-def toml_of(value: Any) -> str:
+def toml_of(value) -> str:
     if isinstance(value, dict):
         return (
             "{ "
@@ -70,7 +68,7 @@ def keys(folder: Path) -> list[str]:
 
 
 def lit_sensors(
-    study: pixsim.Study, image: SpectralImage, camera: pixsim.Camera
+    study: pixsim.Study, image: pixsim.SpectralImage, camera: pixsim.Camera
 ) -> list[RenderedCase]:
     """The sensors of a study without axes in a light."""
     cases = list(cases_of_sensors(Case(study, resolved=(image, camera))))

@@ -4,15 +4,15 @@ measured values beside true ones, and their errors.
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers.claims import Claim, check
 from helpers.commands import assert_refused, command
+from helpers.high_range import DUAL, pixel, split_of_three
 
 import pixsim
 from pixsim import Exposure, Pixel, PixsimError, derive
@@ -21,11 +21,14 @@ from pixsim.base.schema import SCHEMA
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import (
+    COLOUR,
+    GENERAL,
     DataSheet,
     Entry,
     expected_moments,
     make_datasheet,
     mean_offset_e,
+    measure,
     variance_peak_e,
 )
 from pixsim.measure.estimators import (
@@ -38,6 +41,7 @@ from pixsim.measure.estimators import (
 from pixsim.measure.experiment import (
     DARK_TIMES,
     EXPOSURES,
+    Experiment,
     make_experiment,
     peak_wavelength_nm,
     pixel_efficiency,
@@ -48,7 +52,7 @@ from pixsim.sensor.reading import Readout, dark_spread_e
 from pixsim.sensor.readout import frame_mean_dn, frame_variance_dn2, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
-SMALL: dict[str, Any] = {"shape": (40, 40), "stack_frames": 8}
+SMALL = {"shape": (40, 40), "stack_frames": 8}
 D5100 = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 
 
@@ -293,6 +297,134 @@ def test_standard_errors_of_lines_match_repeats() -> None:
         check("error", estimates[0].error, values.std(), rtol=0.05, why="4.5 σ")
 
 
+# EMVA 1288 General
+
+PHOTONS = np.geomspace(1.0, 1e5, 80)
+SHOT = np.sqrt(PHOTONS + 25)
+LOGARITHMIC = PHOTONS / (10 + PHOTONS) * 26  # 26 mV for each e-fold, with a noise of 1 mV
+
+
+def curve_of(output, sigma) -> estimators.CharacteristicCurve:
+    """Return the curve of an output of light, with its noise, whose dark frames are of no light."""
+    at = np.append(0.0, PHOTONS)
+    variance = np.append(1.0, sigma**2 * np.ones_like(PHOTONS))
+    return estimators.characteristic_curve(
+        PairSeries(at, output(at), variance, 4 * variance), 10_000
+    )
+
+
+CURVES = [
+    Claim(
+        "SNR_p of a linear output is its SNR",
+        lambda: curve_of(lambda x: 7 + 0.3 * x, 0.3 * SHOT).snr,
+        PHOTONS / SHOT,
+        rtol=1e-9,
+    ),
+    Claim(
+        "a gamma leaves SNR_p",
+        lambda: curve_of(lambda x: x ** (1 / 2.2), PHOTONS ** (1 / 2.2 - 1) / 2.2 * SHOT).snr[1:-1],
+        (PHOTONS / SHOT)[1:-1],
+        rtol=0.0035,
+        why=".14 of the square of the step, .157",
+    ),
+    Claim(
+        "a logarithmic output has a plateau of 26, 28.3 dB",
+        lambda: curve_of(lambda x: 26 * np.log(10 + x), 1.0).snr[1:-1],
+        LOGARITHMIC[1:-1],
+        rtol=0.009,
+        why="a third of the square of the step",
+    ),
+    Claim(
+        "total SNR of twice the deviation",
+        lambda: np.ptp(curve_of(lambda x: x, SHOT).snr / curve_of(lambda x: x, SHOT).total_snr - 2),
+        0.0,
+        atol=1e-12,
+    ),
+]
+GENERAL_KINDS = {
+    "linear": None,
+    "dual_gain": DUAL,
+    "split": split_of_three(merge="select"),
+    "staggered": {"kind": "staggered", "ratio": 16.0, "merge": "max_likelihood"},
+    "overflow": {
+        "kind": "overflow",
+        "conversion_gain_uv_per_e": [160, 10],
+        "capacity_e": 100_000,
+        "read_noise_e": [1, 5],
+        "merge": "blend",
+    },
+    "companding": None,
+}
+LINEAR_16 = {"bits": 16, "black_level_dn": 200, "prnu": 0.005, "dsnu_e": 1.0}
+
+
+@pytest.mark.parametrize("kind", GENERAL_KINDS)
+def test_general_entries_are_measured_within_their_errors(kind: str) -> None:
+    """Without full readings that pass as valid, which 10 000 pixels have too few of."""
+    readout = GENERAL_KINDS[kind]
+    options = dict(LINEAR_16)
+    if readout is not None:
+        readout = readout | {"validity_sigmas": 6}
+    if kind == "companding":
+        options |= {"companding": "imx585", "full_well_e": 60_000, "read_noise_e": 2}
+        options |= {"colour": D5100, "quantum_efficiency": None}
+    general = make_datasheet(
+        pixel(readout, **options), shape=(100, 100), stack_frames=16, general=True
+    )
+    decoded = GENERAL, COLOUR
+    check_entries([entry for entry in general.entries if entry.standard in decoded])
+    if kind != "companding":  # K has the rounding of coarse codes
+        check_entries(general.entries)
+
+    # Off the knees of companding, and off the switches, all of the curve is that of the model.
+    curve = general.curve
+    assert curve is not None
+    below = slice(0, curve.saturation_index - 1)
+    pulls = ((curve.snr / general.true_snr(curve.photons) - 1) / curve.error)[below]
+    assert np.mean(np.abs(pulls) < 4.5) > 0.95
+
+
+def test_general_sheet_of_a_linear_sensor_has_the_linear_numbers() -> None:
+    linear = sheet("monochrome")
+    general = make_datasheet(
+        linear.experiment.pixel, shape=(100, 100), stack_frames=16, general=True
+    )
+    count = len(linear.entries)
+    assert [str(entry) for entry in general.entries[:count]] == [
+        str(entry) for entry in linear.entries
+    ]
+    lines = by_symbol(general)
+    for symbol, of_linear, rtol in (
+        ("μ_p.sat.general", "μ_p.sat", 1e-4),
+        ("μ_p.min.SNR_p", "μ_p.min", 3e-3),
+        ("DR.SNR_p", "DR", 3e-4),
+        ("SNR_p.max", "SNR_max", 6e-3),
+    ):
+        why = "the shot noise of the threshold; SNR_max leaves out the dark noise"
+        check(symbol, lines[symbol].true, lines[of_linear].true, rtol=rtol, why=why)
+        error = 4.5 * math.hypot(lines[symbol].standard_error, lines[of_linear].standard_error)
+        measured = lines[symbol].measured
+        check(symbol, measured, lines[of_linear].measured, atol=error, why="4.5 standard errors")
+
+
+class Encoded(Experiment):
+    """Frames behind a gamma of 1/2.2."""
+
+    def outputs(self, count: int, photons: float, *key: object) -> Iterator:
+        top_dn = self.readout.adc.top_code_dn
+        for frame in super().outputs(count, photons, *key):
+            yield top_dn * (frame / top_dn) ** (1 / 2.2)
+
+
+def test_a_gamma_of_frames_leaves_their_ratio() -> None:
+    """Of the same frames: what differs is the curvature of the gamma within steps and noise."""
+    plain = make_experiment(pixel(None, **LINEAR_16), **SMALL, exposures=10, general=True)
+    curves = [measure(experiment).curve for experiment in (plain, Encoded(**vars(plain)))]
+    first, second = (curve for curve in curves if curve is not None)
+    below = slice(0, first.saturation_index)
+    check("SNR_p", second.snr[below], first.snr[below], rtol=0.005, atol=0.01, why="bends")
+
+
 # The sheet
 
 
@@ -374,7 +506,7 @@ SHEET = [
 ]
 
 
-@pytest.mark.parametrize("claim", [*ESTIMATORS, *SHEET], ids=str)
+@pytest.mark.parametrize("claim", [*ESTIMATORS, *CURVES, *SHEET], ids=str)
 def test_closed_forms(claim: Claim) -> None:
     claim.check()
 
@@ -547,7 +679,7 @@ def test_standard_errors_of_colour_match_repeats(colour: dict[str, object]) -> N
 # Notes and limits: pixel, words of the note, lines that are missing, lines that are there
 
 
-def bells(centres_nm: tuple[float, ...], width_nm: float, blue: float = 1.0) -> dict[str, Any]:
+def bells(centres_nm: tuple[float, ...], width_nm: float, blue: float = 1.0) -> dict:
     """Return curves of R, G and B, the last one `blue` times as high."""
     bands_nm = np.arange(400.0, 701.0, 10.0)
     curves = {
@@ -656,11 +788,12 @@ def test_python_and_the_command_measure_the_same(tmp_path: Path, monkeypatch) ->
     settings = "[pixel]\ntechnology = '0.35um'\npitch_um = 6.5\n[exposure]\ngain_db = 6\n"
     (tmp_path / "sensor.toml").write_text(f"seed = 5\n{settings}")
     folder = tmp_path / "command"
-    options = "--pixel.bits 12 --exposure.integration-s 0.01 --json"
+    options = "--pixel.bits 12 --exposure.integration-s 0.01 --json --general"
     code, out, err = command(f"datasheet {tmp_path}/sensor.toml {options} --out {folder}")
     assert code == 0, err
     pixel = Pixel(technology="0.35um", pitch_um=6.5, bits=12)
-    data = pixsim.datasheet(pixel=pixel, exposure=Exposure(integration_s=0.01, gain_db=6), seed=5)
+    exposure = Exposure(integration_s=0.01, gain_db=6)
+    data = pixsim.datasheet(pixel=pixel, exposure=exposure, seed=5, general=True)
     assert json.loads(out) == {"schema": SCHEMA} | json.loads(json.dumps(data.as_dict()))
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert names == {name for name in FILES if not name.endswith(".pdf")} | {"pixsim.json"}

@@ -21,7 +21,6 @@ from pixsim.base.toml import packaged
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
-    Distortion,
     Tiling,
     band_groups,
     camera_distortion,
@@ -135,11 +134,6 @@ def rms(values: np.ndarray) -> float:
 # Kernels
 
 
-def veil_between(z: np.ndarray) -> float:
-    near, far = veil_mtf(z / (2 * np.pi * 40e-3), 40.0) / z
-    return near - far
-
-
 TURNS = np.linspace(-0.5, 0.5, 101, dtype=np.float32)
 KERNELS = [
     # The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
@@ -147,7 +141,9 @@ KERNELS = [
     *(
         Claim(
             f"a veil falls as the cube of the distance, from {z:g}",
-            lambda z=z: veil_between(np.array([z, 1.4 * z])),
+            lambda z=z: np.subtract(
+                *veil_mtf(np.array([z, 1.4 * z]) / (2 * np.pi * 40e-3), 40.0) / [z, 1.4 * z]
+            ),
             integrate.quad(lambda z: special.j0(z) / z**2, z, 1.4 * z, epsabs=1e-12)[0],
             atol=1e-10,
             why="quadrature",
@@ -499,12 +495,6 @@ def unit_vector(deg: float) -> np.ndarray:
     return np.array([math.cos(math.radians(deg)), math.sin(math.radians(deg))])
 
 
-def distortion_in(camera: Camera) -> Distortion:
-    distortion = camera_distortion(camera)
-    assert distortion is not None
-    return distortion
-
-
 GAUSS = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
 
 
@@ -595,8 +585,7 @@ def test_lens_of_a_user_that_is_scaled_to_the_die_is_noted(tmp_path: Path) -> No
     with pytest.warns(UserWarning, match=r"is scaled so .*lens\.focal_length_mm = "):
         with_lens(tmp_path / "mine.toml", 10.0)
     focal_mm = load_lens("singlet").first_order(587.56).focal_length_mm
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         with_lens(tmp_path / "mine.toml", 10.0, focal_length_mm=focal_mm)
         with_lens("cooke_triplet", 10.0)
 
@@ -677,7 +666,7 @@ def test_die_beyond_the_image_circle_is_dark_there() -> None:
 @pytest.mark.parametrize(("field", "azimuth"), [(8.0, 20.0), (14.0, 230.0)])
 def test_points_lie_where_the_chief_rays_arrive(field: float, azimuth: float) -> None:
     """A spot at v tan θ of a picture without distortion is at the chief ray's height, and back."""
-    distortion = distortion_in(GAUSS)
+    distortion = camera_distortion(GAUSS)
     lens = lens_in(GAUSS)
     y, x = np.indices((240, 240)) - 119.5
     radius = GAUSS.image_distance_mm * math.tan(math.radians(field)) * 10 / distortion.widening
@@ -700,7 +689,7 @@ def test_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() ->
     """Also where the plane of best focus is not the paraxial one. Distortion grows with the square
     of the height: 1/100 of that at the corner is left at a tenth of it.
     """
-    distortion = distortion_in(GAUSS)
+    distortion = camera_distortion(GAUSS)
     assert abs(distortion.image_scale - 1) > 5e-4
     heights_mm = distortion.height_mm[1:]
     moved = np.abs(distortion.image_scale * distortion.undistorted_mm[1:] / heights_mm - 1)
@@ -728,7 +717,7 @@ def test_waves_through_distortion_have_their_means_over_film_cells(
     columns = 800
     pitch_mm = die_mm / columns
     camera = Camera(die_mm=die_mm, die_height_mm=rows * pitch_mm, object_distance_m=5.0)
-    distortion = distortion_in(camera_with_lens(camera, NO_OPTIONS, LensOptions(file=file)))
+    distortion = camera_distortion(camera_with_lens(camera, NO_OPTIONS, LensOptions(file=file)))
     tables = np.array([distortion.height_mm, distortion.undistorted_mm])
     source = interpolate.CubicSpline(*np.hstack([-tables[:, :0:-1], tables]))
     direction = unit_vector(turn_deg)
@@ -759,7 +748,7 @@ def test_waves_through_distortion_have_their_means_over_film_cells(
 
 def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
     """An edge of two levels rings as the same beside a bright and a black patch does."""
-    distortion = distortion_in(GAUSS)
+    distortion = camera_distortion(GAUSS)
     edge = np.where(np.arange(120) < 75, 1.0, 10.0) * np.ones((120, 1))
     plain = distortion.applied(edge, 200.0, distortion.widening)
     edge[:4, :4] = 1000.0
@@ -772,7 +761,7 @@ def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
 
 def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
     camera = rendered_camera(GAUSS)
-    distortion = distortion_in(GAUSS)
+    distortion = camera_distortion(GAUSS)
     assert camera.lens is None
     assert camera.die_mm / GAUSS.die_mm == distortion.widening
     corner = float(distortion.undistorted_mm[-1] / distortion.height_mm[-1])

@@ -56,14 +56,11 @@ def test_fall_off_of_a_table_begins_on_the_axis(tmp_path: Path) -> None:
     assert camera.relative_illumination == ((0.0, 1.0, 3.0), (1.0, 0.9, 0.4))
 
 
-def test_file_is_found_next_to_the_file_that_names_it_and_stored_as_values(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_is_found_next_to_the_file_that_names_it_and_stored_as_values(here: Path) -> None:
     """In a settings file, a study, and the values of its axis; an edit of the table changes the
     hash of the settings.
     """
-    monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "lens"
+    folder = here / "lens"
     folder.mkdir()
     axis = '[[axis]]\nname = "angles"\nset = "camera.chief_ray_angle"\nvalues = ["cra.csv", "flat.csv"]'
     for name, text in {

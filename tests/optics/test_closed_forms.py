@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -102,18 +101,18 @@ GLASSES = [
     Claim("no shift", lambda: abbe(shifted(MELT, 0.0, 0.0)), abbe(MELT)),
 ]
 
-Square = Callable[[Any, list[float]], Any]  # n² at a wavelength in µm
+Square = Callable[[object, list[float]], object]  # n² at a wavelength in µm
 
 
 def powers(*exponents: int) -> Square:
     return lambda um, c: sum(value * um**power for value, power in zip(c, exponents, strict=True))
 
 
-def sellmeier(um: Any, c: list[float]) -> Any:
+def sellmeier(um, c: list[float]):
     return 1 + sum(b * um**2 / (um**2 - pole) for b, pole in zip(c[::2], c[1::2], strict=True))
 
 
-def herzberger(um: Any, c: list[float]) -> Any:
+def herzberger(um, c: list[float]):
     pole = 1 / (um**2 - 0.028)
     return (c[0] + c[1] * pole + c[2] * pole**2 + c[3] * um**2 + c[4] * um**4 + c[5] * um**6) ** 2
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ def lens_named(name: str) -> Lens:
 REFERENCES = np.load(DATA / "reference.npz")
 
 
-def reference(name: str) -> dict[str, Any]:
+def reference(name: str) -> dict:
     start = f"{name}."
     return {key.removeprefix(start): REFERENCES[key] for key in REFERENCES if key.startswith(start)}
 

@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def edited(text: str, *changes: str) -> str:
     return text
 
 
-def load(folder: Path, text: str | bytes, name: str = "lens.zmx", **options: Any) -> Lens:
+def load(folder: Path, text: str | bytes, name: str = "lens.zmx", **options) -> Lens:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return load_lens(path, **options)
@@ -217,7 +216,7 @@ BEHIND = "GLAS N-BK7 0 0 1.5168 64.17"
 STANDARD = "TYPE STANDARD\n  CURV -0.02|"
 GLASSES = 'glass = "HIKARI:SK16"|glass = { n_d = 1.62041, v_d = 60.32 }'
 # name: text, name of the file, number of the lens, expected, relative tolerance
-NUMBERS: dict[str, tuple[str, str, Callable[[Lens], Any], Any, float]] = {
+NUMBERS: dict[str, tuple[str, str, Callable, object, float]] = {
     "focal length": (AIR, ".zmx", focal_mm, FOCAL_MM, 2e-6),
     "largest angle": (ZMX, ".zmx", lambda lens: lens.max_field_deg, 24.0, 1e-15),
     "real image height": (
@@ -530,7 +529,7 @@ CURV = "CURV 7.061398863114783100E-002"
 DISTANCE = "DISZ INFINITY|DISZ 150"
 TWO = AIR + "MNUM 2 1\nTHIC 1 1 5\nTHIC 1 2 6\nYFIE 3 1 10\nYFIE 3 2 12\n"
 # name of the file, text, options, words
-REFUSED: list[tuple[str, str, dict[str, Any], str]] = [
+REFUSED: list[tuple[str, str, dict, str]] = [
     *(
         ("lens.toml", edited(TOML, change), {}, words)
         for change, words in [

@@ -23,10 +23,11 @@ The gates fail for another gain, a new fixed pattern in each frame, and a clippe
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,13 +38,14 @@ from scipy.constants import e as electron
 from pixsim.base.arrays import stream
 from pixsim.measure.datasheet import dark_map_e, measure, variance_peak_e
 from pixsim.measure.estimators import Frames, saturation_index
-from pixsim.measure.experiment import Experiment, make_experiment
+from pixsim.measure.experiment import Experiment, make_experiment, pixel_efficiency
 from pixsim.sensor.correction import correct, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.readout import make_frame, sample_sensor
+from pixsim.sensor.reading import Reading
+from pixsim.sensor.readout import MergedFrame, capture_from_rates, make_frame, sample_sensor
 
 process = pytest.importorskip("emva1288.process")
 from emva1288.process import routines  # noqa: E402
@@ -153,8 +155,8 @@ def judged(case: Case) -> tuple[Experiment, dict[str, float]]:
 
 
 def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
-    """A row for each pixel and quantity."""
-    table = []
+    """A row for each pixel and quantity, and for each reading of pixels that have several."""
+    table = reading_rows() if cases is CASES else []
     for case in cases:
         e, results = judged(case)
         name = f"{case[0]}, {case[1]:g} µm, {case[2]} bits"
@@ -181,6 +183,21 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
                 abs(off) <= 1,
             )
         )
+    return table
+
+
+def reading_rows() -> list[dict[str, object]]:
+    """A row for each reading and quantity."""
+    table = []
+    for readout, number in itertools.product(READOUTS, (0, 1)):
+        experiment = of_reading(readout, number)
+        results = package_results(experiment)
+        for quantity, true in truths(experiment).items():
+            off = results[quantity] / true - 1
+            gate = f"within {100 * GATES[quantity]:g} % of the parameters"
+            judge = f"{quantity} of a reading: {readout['kind']}, {number}"
+            measured = f"{100 * off:+.2f} %"
+            table.append(verdict(STANDARD, judge, gate, measured, abs(off) <= GATES[quantity]))
     return table
 
 
@@ -304,6 +321,78 @@ def test_package_measures_mismatch_of_the_layout(pitch_um: float, gate_um2: floa
     expected = {"PRNU1288": 100 * 0.06 / math.sqrt(plain.photodiode_area_um2), "DSNU1288": offset_e}
     assert not outside(package_results(experiment), expected)
     assert physics.photodiode_area_um2 == plain.photodiode_area_um2
+
+
+# --- Each reading of a pixel that is read several times ---
+
+
+@dataclass(frozen=True)
+class OfReading(Experiment):
+    """The codes of one reading in frames of the whole sensor."""
+
+    number: int = 0
+
+    @property
+    def reading(self) -> Reading:
+        return self.whole.readout.readings[self.number]
+
+    @cached_property
+    def efficiency(self) -> float:
+        return pixel_efficiency(self.physics, self.wavelength_nm) * self.reading.response
+
+    def frame(
+        self, photons: float, integration_s: float, *key: object, sensor: Any = None
+    ) -> Frames:
+        light_e = photons * self.efficiency / self.reading.response
+        rates = np.full(self.sensor.shape, light_e / integration_s)
+        exposure = Exposure(integration_s=integration_s)
+        frame = capture_from_rates(rates, self.whole, exposure, stream("reading", *key))
+        assert isinstance(frame, MergedFrame)
+        return frame.readings[self.reading.name]
+
+
+def of_reading(readout: dict[str, Any], number: int) -> OfReading:
+    sheet = SPLIT | {"read_noise_after_gain_e": None, "dsnu_e": 6.0, "readout": readout}
+    made = make_experiment(
+        Pixel.model_validate(sheet),
+        general=True,
+        shape=(SMALL, SMALL),
+        exposures=EXPOSURES,
+        stack_frames=16,
+    )
+    reading = made.whole.readout.readings[number]
+    diode = made.whole.further[reading.photodiode - 1] if reading.photodiode else made.whole
+    sensor = replace(diode, readout=reading.readout, further=())
+    wider = reading.limit_e / reading.response / made.readout.saturation_e
+    parts = vars(made) | {"sensor": sensor, "photons": made.photons * wider}
+    return OfReading(**parts, number=number)
+
+
+READOUTS = [
+    {"kind": "dual_gain", "conversion_gain_uv_per_e": [160, 40], "read_noise_e": [3, 9]},
+    {"kind": "split", "response": [1, 0.02], "full_well_e": [20_000, 9000], "read_noise_e": [3, 5]},
+    {"kind": "staggered", "ratio": 8.0},
+    {
+        "kind": "overflow",
+        "conversion_gain_uv_per_e": [160, 20],
+        "capacity_e": 60_000,
+        "read_noise_e": [3, 10],
+    },
+]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("readout", READOUTS, ids=lambda readout: readout["kind"])
+def test_package_measures_each_reading(readout: dict[str, Any], number: int) -> None:
+    """K, QE, σ_d, DSNU and PRNU are those of the reading and its photodiode; saturation is its
+    limit.
+    """
+    experiment = of_reading(readout, number)
+    results = package_results(experiment)
+    assert not outside(results, truths(experiment))
+    limit_p = experiment.reading.limit_e / experiment.efficiency
+    step = float(experiment.photons[1] - experiment.photons[0])
+    assert 0.9 * limit_p - step < results["u_p_sat"] < limit_p + step
 
 
 # --- What a camera's correction leaves ---

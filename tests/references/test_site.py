@@ -13,8 +13,8 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from helpers.browser import in_frames, needs_browser
 from helpers.processes import HANG_S
+from references.layout import in_frames, needs_browser
 
 for needed in ("sphinx", "myst_parser", "furo"):
     if find_spec(needed) is None:  # not imported, which takes a second of each worker's collection

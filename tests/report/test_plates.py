@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
@@ -26,7 +25,6 @@ from helpers.tiny import PITCHES_UM, TINY, tiny
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 import pixsim
-from pixsim.light.spectral import SpectralImage
 from pixsim.report import maps
 from pixsim.report.curve import delta_e_against_pitch
 from pixsim.report.paper import figure_6
@@ -197,7 +195,7 @@ def test_picture_axes_of_the_chart_are_frequencies_and_contrasts(die_mm: float) 
     """The chart runs from f0 = 1 to f1 = 33.3 lp/mm over its 2.7136 mm, x/width = ln(f/f0)/ln(f1/f0),
     and from a hundredth of its largest contrast of 0.951 at equal ratios.
     """
-    light = SpectralImage(
+    light = pixsim.SpectralImage(
         [550.0], [10.0], 1e3 * die_mm / 64, data=np.ones((64, 64, 1)), header={"scene": "csf.xml"}
     )
     axes = picture_axes(light)
@@ -307,7 +305,7 @@ LIGHT = pixsim.SpectralImage([550.0], 10.0, 21.2, data=np.ones((8, 8, 1)), heade
 # of ΔE in the square of the logarithm of the pitch, around a least ΔE of 1: no curve is fitted by
 # its logarithm
 BEND = 0.3
-Optima = Callable[[dict[str, Any], str, str], float]
+Optima = Callable[[dict, str, str], float]
 
 
 @cache
@@ -320,7 +318,7 @@ def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
     return delta_e, fit_curve(PITCH_UM, delta_e)
 
 
-def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -> StudyResult:
+def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study) -> StudyResult:
     """The result of a study whose optima and least mean ΔE are functions of axis values, condition
     and technology.
     """
@@ -359,13 +357,13 @@ DAY_AND_NIGHT = [
 FIT = 2e-3  # of a pitch: the curve is fitted through 7 sizes and sampled at 801
 
 
-def optimum_um(at: dict[str, Any], condition: str, technology: str) -> float:
+def optimum_um(at: dict, condition: str, technology: str) -> float:
     """Falls with the light, rises with the f-number, and is larger at night and in 0.5 µm."""
     larger = (1.3 if condition == "night" else 1.0) * (1.2 if technology == "0.5um" else 1.0)
     return larger * 7.0 * at.get("luminance", 1.0) ** -0.1 * (at.get("lens", 4.0) / 4.0) ** 0.4
 
 
-def least(at: dict[str, Any], condition: str, technology: str) -> float:
+def least(at: dict, condition: str, technology: str) -> float:
     return 2.0 * at.get("luminance", 1.0) ** -0.2
 
 
@@ -379,14 +377,14 @@ def plates(two_axes: StudyResult) -> dict[str, Plate]:
     return {plate.name: plate for plate in maps.axis_plates(two_axes)}
 
 
-def rows_of(plate: Plate) -> list[dict[str, Any]]:
+def rows_of(plate: Plate) -> list[dict]:
     return [
         dict(zip(plate.table, values, strict=True))
         for values in zip(*plate.table.values(), strict=True)
     ]
 
 
-def expected_um(row: dict[str, Any]) -> float:
+def expected_um(row: dict) -> float:
     at = {name: row[name] for name in ("luminance", "lens") if name in row}
     return optimum_um(at, row.get("condition", ""), row["technology"])
 
@@ -562,7 +560,7 @@ ALONE = [
 ]
 
 
-def moved_um(at: dict[str, Any], condition: str, technology: str) -> float:
+def moved_um(at: dict, condition: str, technology: str) -> float:
     moved = {"prnu": {0.005: 0.99, 0.03: 1.05}, "read noise": {1.0: 0.9, 5.0: 1.1, 20.0: 1.4}}
     night = 1.3 if condition == "night" else 1.0
     return (

@@ -20,7 +20,6 @@ from helpers.sheets import two_sheets
 from helpers.tiny import rows
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.schema import SCHEMA
 from pixsim.light.exr import write_channels
 from pixsim.measure.lens import lens_data
@@ -41,8 +40,7 @@ SAME = ("mean_delta_e", "max_delta_e", "mean_electrons_e", "integration_s", "cam
 
 def scored(line: str) -> tuple[dict, str]:
     """score.json, and what was warned of."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(action="always"):
         code, out, err = command(line)
     assert code == 0, err
     return json.loads(out), err
@@ -326,7 +324,7 @@ def test_file_that_pixsim_did_not_write_is_not_replaced(
 
 
 def test_pictures_are_written_to_no_pdf(tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match="figures: got 'pdf' for a RunResult"):
+    with pytest.raises(pixsim.PixsimError, match="figures: got 'pdf' for a RunResult"):
         pixsim.write_report(run_result([1.0], {}), tmp_path, figures="pdf")
 
 

@@ -8,7 +8,6 @@ import shlex
 import tomllib
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
@@ -25,7 +24,6 @@ from pixsim.report.templates import json_schema, template
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.pixel_options import DATA_SHEET
-from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
 SHEET = """
@@ -110,7 +108,7 @@ def test_command_of_settings_makes_the_same_numbers(
     numbers: tuple[str, ...],
     desk: Path,
     tmp_path: Path,
-    monkeypatch: Any,
+    monkeypatch,
 ) -> None:
     """The command in settings.toml, in its folder, gives every number again, bit for bit, also
     after that is moved with the files that it names.
@@ -183,15 +181,15 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     assert (same / "raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
 
 
-RECORDS = {"sensor": Run, "study": Study}
+RECORDS = {"sensor": Run, "study": pixsim.Study}
 
 
-def uncommented(text: str) -> dict[str, Any]:
+def uncommented(text: str) -> dict:
     """The table of a template with all commented fields set."""
     return tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE))
 
 
-def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:
+def dotted(table: dict, record: type[BaseModel], path: str = "") -> set[str]:
     """Dotted names of the fields of a table; all fields of an inner record if the table does not
     list them.
     """
@@ -218,7 +216,7 @@ def test_template_has_every_field_and_is_valid(kind: str) -> None:
 def test_template_shows_defaults_of_record() -> None:
     """A commented field shows the default of its record."""
     table = uncommented(template("study"))
-    defaults = Study(name="x").model_dump(mode="json")
+    defaults = pixsim.Study(name="x").model_dump(mode="json")
     for name in ("seed", "max_repeats", "iso_delta_e", "paper"):
         assert table[name] == defaults[name], name
     for name in ("gamma", "dots"):

@@ -5,7 +5,6 @@ real ones, and passes that are traced together are each of them.
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ NONE = np.zeros((0, 471))
 TOLERANCE = 2.5e-4  # what the bands may cost in a render: BANDS_SHARE of the default tolerance
 
 
-def spectrum(nodes: Any, values: Any) -> Spectrum:
+def spectrum(nodes, values) -> Spectrum:
     return Spectrum(np.asarray(nodes, float), np.asarray(values, float))
 
 

@@ -2,7 +2,6 @@
 
 import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -74,7 +73,7 @@ PART_CAMERA = pixsim.Camera(focal_length_mm=16.0, f_number=2.8, die_mm=0.02, obj
 CONE = 1 / (1 + 4 * PART_CAMERA.f_number**2 * (1 + PART_CAMERA.magnification) ** 2)
 
 
-def light_on_axis(quantity: str, **parameters: Any) -> float:
+def light_on_axis(quantity: str, **parameters) -> float:
     """Light of a part without a target in the middle of the film, in lx or W/m²."""
     scene = load("target", contrast=0, size_um=1, **parameters).with_resolution(1)
     plan = make_render_plan(scene, PART_CAMERA, exact=True)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ SHORT = pixsim.Exposure(integration_s=2e-3)
 
 
 @lru_cache
-def prepared(name: str) -> tuple[Any, ...]:
+def prepared(name: str) -> tuple[object, ...]:
     scene = load(name, resolution=32, spp=4)
     camera = scene.camera()
     return scene, camera, pixsim.make_plan(scene, camera, PIXEL)
@@ -52,7 +51,7 @@ def until(
     exposure: pixsim.Exposure = SHORT,
     pixels: Sequence[pixsim.Pixel] = (PIXEL,),
     max_seconds: float | None = None,
-    **options: Any,
+    **options,
 ) -> tuple[pixsim.SpectralImage, convergence.RenderNoise]:
     options |= {"render_noise": target, "max_seconds": max_seconds}
     rendered = convergence.render_until(*prepared(name), pixels, exposure, seed, **options)
@@ -67,7 +66,7 @@ def electrons_e(
     return exposure.integration_s * integrate_pixels(ideal_rate(image, physics), *sides_um)
 
 
-def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim.Exposure) -> Any:
+def sensor_variance_e2(mean_e: np.ndarray, pixel: pixsim.Pixel, exposure: pixsim.Exposure):
     """Return shot, dark, kTC, read and quantisation noise, squared."""
     readout = Readout.of(pixsim.derive(pixel))
     dark_e = readout.dark_current_e_per_s * exposure.integration_s
@@ -170,12 +169,12 @@ class Roughness:
     tolerated: float
     content = "roughness"
 
-    def values(self, lights: Sequence[Any]) -> list[dict[Any, np.ndarray]]:
+    def values(self, lights: Sequence) -> list[dict]:
         flat = Renderer(*prepared("csf"), 0).image([np.full((32, 32, 1), 0.5)], 4).planes[0]
         pictures = [light.planes[0] / flat - 1 for light, _ in lights]
         return [{("mean_delta_e", 5.0): 1 + 100 * np.mean(noise**2, axis=0)} for noise in pictures]
 
-    def tolerance(self, key: Any, value: float) -> float:
+    def tolerance(self, key, value: float) -> float:
         return self.tolerated
 
 
@@ -297,7 +296,7 @@ def test_time_for_no_picture_raises() -> None:
 def test_renders_that_are_no_light_raise(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
     import mitsuba
 
-    def broken(*_: Any, sensor: Any, **__: Any) -> np.ndarray:
+    def broken(*_, sensor, **__) -> np.ndarray:
         return np.full((*sensor.film().crop_size(), 1), wrong)
 
     monkeypatch.setattr(mitsuba, "render", broken)
@@ -352,9 +351,7 @@ def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPat
         ),
     ],
 )
-def test_repeatable_settings_state_what_the_limit_led_to(
-    ended_by: str, more: dict[str, Any]
-) -> None:
+def test_repeatable_settings_state_what_the_limit_led_to(ended_by: str, more: dict) -> None:
     header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
     image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
     settings = Run(seed=4, max_seconds=7.0, tolerance_delta_e=0.1)
@@ -391,7 +388,7 @@ def rendered(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     indices: list[int] = []
     render = Renderer._rendered
 
-    def counted(self: Renderer, index: int, *arguments: Any) -> Any:
+    def counted(self: Renderer, index: int, *arguments):
         indices.append(index)
         return render(self, index, *arguments)
 
@@ -399,7 +396,7 @@ def rendered(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return indices
 
 
-def light(**settings: Any) -> tuple[bytes, str]:
+def light(**settings) -> tuple[bytes, str]:
     """Return the light of a run, bit for bit, and its header."""
     run_settings = Run.model_validate(merge(TABLES, settings))
     with warnings.catch_warnings(action="ignore"):
@@ -451,7 +448,7 @@ def first_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ids=str,
 )
 def test_light_is_rendered_anew_for_the_settings_that_change_it(
-    settings: dict[str, Any], renders: int, folder: Path, first_cache: Path, rendered: list[int]
+    settings: dict, renders: int, folder: Path, first_cache: Path, rendered: list[int]
 ) -> None:
     shutil.copytree(first_cache, folder)
     light(**settings)
@@ -460,7 +457,7 @@ def test_light_is_rendered_anew_for_the_settings_that_change_it(
 
 
 def test_light_is_rendered_anew_by_another_version(
-    folder: Path, first_cache: Path, rendered: list[int], monkeypatch: Any
+    folder: Path, first_cache: Path, rendered: list[int], monkeypatch
 ) -> None:
     """That of each package is in the fingerprint, as test_cache has it."""
     shutil.copytree(first_cache, folder)

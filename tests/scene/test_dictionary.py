@@ -3,7 +3,6 @@ guards of XML, and stand as scene.xml beside their results.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ CAMERA = {
     "sampler": {"type": "multijitter", "sample_count": 4},
 }
 GREY = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.5}}
-SCENE: dict[str, Any] = {
+SCENE = {
     "type": "scene",
     "camera": CAMERA,
     "lamp": {"type": "directional", "direction": [0, 0, 1], "irradiance": {"type": "d65"}},
@@ -56,7 +55,7 @@ EVERY_KIND = SCENE | {
 }
 
 
-def with_wall(**values: Any) -> dict[str, Any]:
+def with_wall(**values) -> dict:
     return SCENE | {"wall": SCENE["wall"] | values}
 
 
@@ -83,16 +82,16 @@ class Transform4f:
     """An object of another package."""
 
 
-def nested(depth: int, width: int) -> dict[str, Any]:
+def nested(depth: int, width: int) -> dict:
     group = GREY
     for _ in range(depth):
         group = {"type": "twosided"} | {f"side_{number}": group for number in range(width)}
     return SCENE | {"wall": SCENE["wall"] | {"bsdf": group}}
 
 
-CIRCLE: dict[str, Any] = {"type": "scene"}
+CIRCLE = {"type": "scene"}
 CIRCLE["again"] = CIRCLE | {"type": "shapegroup", "again": CIRCLE}
-REFUSED: dict[str, tuple[dict[Any, Any], str]] = {
+REFUSED: dict[str, tuple[dict, str]] = {
     "a live transform": (
         with_wall(to_world=Transform4f()),
         r"test_dictionary.Transform4f at 'wall\.to_world'.*numpy\.array\(T\.matrix\)\.tolist\(\)",
@@ -140,18 +139,15 @@ REFUSED: dict[str, tuple[dict[Any, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_other_dictionaries_are_refused(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_other_dictionaries_are_refused(name: str, here: Path) -> None:
     scene, words = REFUSED[name]
     with pytest.raises(pixsim.PixsimError, match=words):
         pixsim.render(pixsim.load_scene(scene, variant=VARIANT))
 
 
-def result_of(name: str, scene: dict[str, Any], folder: Path) -> Result:
+def result_of(name: str, scene: dict, folder: Path) -> Result:
     """Return a small result of a command."""
-    settings: dict[str, Any] = {"display": {"dots": 32}, "variant": VARIANT, "resolution": 16}
+    settings: dict = {"display": {"dots": 32}, "variant": VARIANT, "resolution": 16}
     if name == "run":
         return pixsim.run(scene, pixel={"pitch_um": 170.0}, **settings)
     settings |= {"repeats": 2, "jobs": 1}

@@ -7,7 +7,6 @@ import pickle
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -251,7 +250,7 @@ def chart_scene(folder: Path, half_m: float, more: str = "") -> Scene:
     return pixsim.load_scene(scene_file(folder, sensor, CHART.replace("HALF", f"{half_m}"), more))
 
 
-def rendered_cells(scene: Scene, cells: int, **options: Any) -> tuple[SpectralImage, Camera, Plan]:
+def rendered_cells(scene: Scene, cells: int, **options) -> tuple[SpectralImage, Camera, Plan]:
     """The light of a die of so many cells of 10 µm behind a lens of 12 mm."""
     scene = scene.with_resolution(cells)
     die = CameraOptions(die_mm=DIE_MM * cells / CELLS, object_distance_m=1.0)
@@ -288,7 +287,7 @@ def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
     assert error_reflected > 5 * error
 
 
-def rms(values: Any) -> float:
+def rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -361,7 +360,7 @@ def test_margins_are_beside_the_picture_and_survive_files_and_copies(
     pictures = np.random.default_rng(4).random((2, 24, 32)).astype(np.float32)
     spectra = np.array([[1.0, 2.0, 0.5], [0.2, 0.1, 0.3]])
     data = np.moveaxis(pictures, 0, 2) @ spectra
-    light: dict[str, Any] = {"factors": (spectra, pictures)} if factored else {"data": data}
+    light: dict = {"factors": (spectra, pictures)} if factored else {"data": data}
     image = SpectralImage([450.0, 550.0, 650.0], 100.0, 5.0, margin=4, **light)
     path = tmp_path / "light.exr"
     write_exr(path, image)

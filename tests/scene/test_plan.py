@@ -5,7 +5,6 @@ by edits of packaged scenes, closed forms and real renders.
 import math
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
-# Elsewhere: tests/references compares the pictures of csf, test_scenes the patches under smooth
+# Elsewhere: tests/references compares the pictures of csf, and the patches under smooth
 # lamps, flat has one luminance.
 CASES = {
     "target": ("target", {}),
@@ -160,7 +159,7 @@ BARE = pixsim.Pixel(pitch_um=10.0, stack={"height_um": 8.0, "index": 1.5, "shift
     ],
 )
 def test_stack_is_left_out_where_it_is_one_scale_and_the_evaluation_does_it(
-    camera: pixsim.Camera, options: dict[str, Any], is_computed: bool
+    camera: pixsim.Camera, options: dict, is_computed: bool
 ) -> None:
     """Behind a slow lens, whose narrow cones of light meet photodiodes alike everywhere."""
     plan = make_plan(load("csf", resolution=32), camera, BARE, **options)
@@ -169,7 +168,6 @@ def test_stack_is_left_out_where_it_is_one_scale_and_the_evaluation_does_it(
     image = pixsim.render(load("csf", resolution=32), camera, plan=plan)
     assert image.header["spare_e"] == plan.spare_e
     chain = imaging_chain(image, camera, BARE, pixsim.Exposure(), pixsim.Display())
-    assert chain.collection is not None
     assert chain.collection.is_scale != is_computed
 
 
@@ -491,7 +489,7 @@ def with_integrator(plugin: str, inside: str = "") -> tuple[str, str]:
 
 
 # name: (scene, edits, parameters and width of the film, what the plan has)
-APPLIED: dict[str, tuple[str, list[tuple[str, str]], dict[str, Any], dict[str, Any]]] = {
+APPLIED: dict[str, tuple[str, list[tuple[str, str]], dict, dict]] = {
     "a chart": ("slanted_edge", [], {}, {"left_out": MATT_RULES, "integrator": PATH_1, "lens": "perspective", "spp": 16}),
     "a uniform chart": ("flat", [], {}, {"left_out": RULES, "resolution": 64, "spp": 4, "diffraction": False}),
     "boards that face one way": ("macbeth", [], {}, {"left_out": MATT_RULES, "integrator": {"type": "direct"}, "bounded": True}),
@@ -617,7 +615,7 @@ def test_render_unfocused_chart_is_blurred_by_disc(tmp_path: Path) -> None:
     ("covered", "shape"), [((24, 36), (5, 7)), ((12, 18), (6, 9)), ((24, 36), (40, 50))]
 )
 def test_chart_picture_is_cell_means(
-    beyond: Any, mode: str, order: int, covered: tuple[int, int], shape: tuple[int, int]
+    beyond, mode: str, order: int, covered: tuple[int, int], shape: tuple[int, int]
 ) -> None:
     # Means of the interpolation, linear (1) or of nearest texels (0), by the midpoint rule along
     # one axis at a time: an error of 1e-6, or of a step between two of 4096 points.
@@ -692,7 +690,7 @@ def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, tmp_pa
     ],
 )
 def test_exact_cells_only_where_they_are_exact(
-    scene: str, edits: list[Any], parameters: dict[str, Any], full: bool, is_exact: bool, tmp_path
+    scene: str, edits: list, parameters: dict, full: bool, is_exact: bool, tmp_path
 ) -> None:
     """Samples that the user asks for, --full, and a chart that is out of focus or not seen are
     sampled.

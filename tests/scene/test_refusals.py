@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -322,7 +321,7 @@ def with_sky(folder: Path) -> Path:
     return folder
 
 
-def drawn(**parameters: object) -> Any:
+def drawn(**parameters: object):
     return make_render_plan(load("target", **parameters).with_resolution(128), exact=True)
 
 
@@ -415,15 +414,12 @@ def test_pictures_are_refused(
         ("plan", ["SCENE"]),
     ],
 )
-def test_commands_on_charts_are_refused(
-    line: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_commands_on_charts_are_refused(line: str, words: list[str], here: Path) -> None:
     PNG.save("mine.png")
-    (tmp_path / "bad.png").write_bytes(b"no picture")
+    (here / "bad.png").write_bytes(b"no picture")
     pixsim.write_chart("star.exr", charts.flat())
     assert_refused(*command(line), words)
-    assert not (tmp_path / "out.exr").exists()
+    assert not (here / "out.exr").exists()
 
 
 CASES = Path(__file__).parents[1] / "data/cases"
@@ -494,7 +490,7 @@ REFUSED = partial(
     ],
 )  # fmt: skip
 def test_reflectance_above_1_is_warned_of_and_above_1_5_refused(
-    xml: str, value: float, outcome: Callable[[], Any], tmp_path: Path
+    xml: str, value: float, outcome: Callable, tmp_path: Path
 ) -> None:
     """With its place."""
     (tmp_path / "a.spd").write_text(f"400 {value}\n700 {value}\n", encoding="utf-8")

@@ -9,7 +9,6 @@ import sys
 import tracemalloc
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -324,7 +323,7 @@ def wall(
     return f'<emitter type="constant">{spectrum}</emitter>{shape}'
 
 
-def scene_of(folder: Path, body: str, variant: str = VARIANT, **parameters: Any) -> Scene:
+def scene_of(folder: Path, body: str, variant: str = VARIANT, **parameters) -> Scene:
     # A wall has noise, from directions of the light; a lamp has none.
     spp = 1024 if "constant" in body else 16
     sensor = sensor_xml(lens_xml(38, focus_m=1), spp=spp)

@@ -10,7 +10,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -235,8 +234,6 @@ def state_of(folder: Path, *emitters: str) -> trees.Tree:
 def test_spectrum_of_a_lamp(emitter: str, radiance: np.ndarray, tmp_path: Path) -> None:
     # In float32 and five digits of D65's scale; an RGB emitter's colour is times D65.
     lamp = find_lamp(state_of(tmp_path, emitter), READING)
-    assert lamp is not None
-    assert lamp.spectrum is not None
     np.testing.assert_allclose(lamp.spectrum.at(NM), radiance, rtol=1e-3, atol=1e-4)
 
 
@@ -252,7 +249,6 @@ def test_lamps_of_one_spectrum_have_its_light_times_their_powers(
     emitters: list[str], luminance: float, powers: list[float], tmp_path: Path
 ) -> None:
     lamp = find_lamp(state_of(tmp_path, *emitters), READING)
-    assert lamp is not None
     assert lamp.luminance_cd_per_m2 == pytest.approx(luminance * D65_LUMINANCE, rel=1e-4)
     relative = [value for _, value in lamp.pictures.values() if isinstance(value, float)]
     assert relative == pytest.approx(powers)
@@ -417,12 +413,9 @@ PIXEL = "a pixel of 6.5 µm in 0.35um (--pixel.pitch-um)"
         ("compare imx477 4t-bsi --scene {} --dry-run", ""),
     ],
 )
-def test_sensor_that_nobody_states_is_named_once(
-    words: str, defaults: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sensor_that_nobody_states_is_named_once(words: str, defaults: str, here: Path) -> None:
     """For a scene of the user: packaged ones are made for a die."""
-    monkeypatch.chdir(tmp_path)
-    scene_file(tmp_path, sensor_xml(), '<emitter type="constant"/>')
+    scene_file(here, sensor_xml(), '<emitter type="constant"/>')
     code, out, error = command(words.format("scene.xml"))
     assert (code, out.count("in the paper")) == (0, 0), error
     assert re.findall("assumed, as in the paper: (.*)", error) == [defaults] * bool(defaults)
@@ -451,7 +444,7 @@ OF_MITSUBA = {
 }
 
 
-def agree(mine: Any, theirs: Any) -> bool:
+def agree(mine, theirs) -> bool:
     """Return whether a plain value equals Mitsuba's, bit for bit."""
     if isinstance(mine, list):
         return np.array_equal(np.array(mine), np.array(theirs))
@@ -530,13 +523,13 @@ SIGN = (
     .replace('target="0,0,0', 'target="0,0.05,0')
     .replace("rectangle", "disk")
 )
-PIXEL: dict[str, Any] = {
+PIXEL = {
     "technology": "4t-bsi",
     "pitch_um": 21.2,
     "quantum_efficiency": [[400, 0.6], [1000, 0.2]],
     "black_level_dn": 60,
 }
-SMALL: dict[str, Any] = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
+SMALL = {"pixel": {"pitch_um": 84.8}, "resolution": 32}
 
 
 def plate_file(folder: Path, *contents: str) -> Path:

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import ANY, Mock
 
 import numpy as np
@@ -367,7 +366,7 @@ def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
     )
 
 
-def small_scene() -> Any:
+def small_scene():
     return pixsim.load_scene("flat", variant=VARIANT, resolution=8, spp=4)
 
 

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers.claims import Claim
 from helpers.closed_forms import charge_to_e, constant_diode_charge_e, implicit_charge_e, spice_ff
-from scipy.constants import c as light_speed, e as electron, h as planck, k as boltzmann
+from scipy.constants import e as electron, k as boltzmann
 from scipy.integrate import quad
 from scipy.stats import norm
 
@@ -83,7 +82,7 @@ from pixsim.sensor.technology import load_technology, with_fill_factor_law
 T035 = load_technology("0.35um")
 SIGNAL_E, TIME_S = 15_000.0, 0.1
 # Each number is a different one, so that a term with another's factor shows.
-NOISY: dict[str, Any] = {
+NOISY = {
     "technology": "none",
     "pitch_um": 2.0,
     "full_well_e": 40_000.0,
@@ -106,21 +105,16 @@ HOT_MEAN = 5 * math.exp(0.4**2 / 2)
 ORDINARY = 1 / (0.97 + 0.03 * HOT_MEAN)
 
 
-def physics(**over: Any) -> PixelPhysics:
+def physics(**over) -> PixelPhysics:
     return derive(Pixel(**NOISY | over))
 
 
-def readout(*, exposure: Exposure | None = None, **over: Any) -> Readout:
+def readout(*, exposure: Exposure | None = None, **over) -> Readout:
     return Readout.of(physics(**over), exposure)
 
 
-def pixel_035(**options: Any) -> PixelPhysics:
+def pixel_035(**options) -> PixelPhysics:
     return derive(Pixel(pitch_um=6.5, **options), T035)
-
-
-def per_joule(qe: float, nm: float) -> float:
-    """Electrons of a joule of light."""
-    return qe * nm * 1e-9 / (planck * light_speed)
 
 
 SPREADS = [
@@ -458,7 +452,7 @@ CODES = [
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 
 
-def of_process(name: str, **options: Any) -> PixelPhysics:
+def of_process(name: str, **options) -> PixelPhysics:
     return derive(Pixel(technology=name, pitch_um=PITCHES_UM[name], **options))
 
 
@@ -467,6 +461,31 @@ def well_charge_e(name: str) -> float:
     junction = load_technology(name).junction
     diode = diode_of(of_process(name))
     return charge_to_e(diode, junction.reset_voltage_v - junction.voltage_swing_v)
+
+
+CIRCUITS = {"area_um2": 2.0}
+STACK = {"height_um": 6.0, "index": 1.5, "microlens": "square"}
+SHEET = {
+    "pitch_um": 3.0,
+    "full_well_e": 1e4,
+    "read_noise_e": 2,
+    "dark_current_e_per_s": 5,
+    "quantum_efficiency": 0.5,
+}
+
+
+def beside_readout(pitch_um: float, technology, area_um2: float) -> float:
+    return float(fill_factor_law(pitch_um, technology)) * (1 - area_um2 / pitch_um**2)
+
+
+def of_area(physics: PixelPhysics) -> list[float]:
+    return [
+        physics.fill_factor,
+        physics.photodiode_area_um2,
+        physics.full_well_e,
+        physics.dark_current_e_per_s,
+        physics.reset_noise_e,
+    ]
 
 
 LAYOUT = [
@@ -492,15 +511,47 @@ LAYOUT = [
     ),
     *(
         Claim(
-            f"the pitch of a fill factor inverts the law {law}",
-            lambda law=law: fill_factor_law(
-                pitch_for_fill_factor_um(0.4, with_fill_factor_law(T035, law)),
+            f"the pitch of a fill factor inverts the law {law}, with {area_um2:g} µm² of circuits",
+            lambda law=law, area_um2=area_um2: beside_readout(
+                pitch_for_fill_factor_um(0.4, with_fill_factor_law(T035, law), area_um2),
                 with_fill_factor_law(T035, law),
+                area_um2,
             ),
             0.4,
             rtol=1e-12,
         )
         for law in ("technology", "inset")
+        for area_um2 in (0.0, 30.0)
+    ),
+    Claim(
+        "circuits of readings take their share of the fill factor, and what follows from it",
+        lambda: of_area(of_process("0.35um", readout={"area_um2": 8.0})),
+        of_area(
+            of_process("0.35um", fill_factor=float(fill_factor_law(6.5, T035)) * (1 - 8 / 6.5**2))
+        ),
+        rtol=1e-12,
+    ),
+    Claim(
+        "numbers of a sheet follow the area beside the circuits, (p² - a)/(m² - a)",
+        lambda: (
+            derive(
+                Pixel(**SHEET | {"pitch_um": 4.0, "data_sheet_pitch_um": 3.0}, readout=CIRCUITS)
+            ).full_well_e
+        ),
+        1e4 * (16 - 2) / (9 - 2),
+        rtol=1e-12,
+    ),
+    Claim(
+        "a process measured its efficiency without them, a sheet with them",
+        lambda: [
+            physics.efficiency_stack.fill_factor / physics.stack.fill_factor
+            for physics in (
+                derive(Pixel(technology="4t-bsi", pitch_um=1.4, readout={"area_um2": 0.49})),
+                derive(Pixel(**SHEET | {"stack": STACK}, readout=CIRCUITS)),
+            )
+        ],
+        [1 / (1 - 0.49 / 1.4**2), 1.0],
+        rtol=1e-12,
     ),
     Claim(
         "no photodiode at the smallest pitch, the limit at large ones",
@@ -712,7 +763,7 @@ CURRENTS_E_PER_S = np.logspace(-3, 17, 41)[:, None]
 TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
 
 
-def level_share(name: str, share: Any, **options: Any) -> np.ndarray:
+def level_share(name: str, share, **options) -> np.ndarray:
     """Signal level after 30 ms of a charge, both as shares of the full well."""
     reading = Readout.of(of_process(name, conversion="junction", **options))
     charge_e = np.asarray(share) * reading.full_well_e
@@ -886,12 +937,12 @@ PHOTODIODES = [
 ]
 
 
-def decibels(pitch_um: float, capacitance: Any) -> list[float]:
+def decibels(pitch_um: float, capacitance) -> list[float]:
     reading = Readout.of(derive(Pixel(pitch_um=pitch_um, capacitance=capacitance)))
     return [reading.dynamic_range_db(0.03), reading.snr_db(0.2 * reading.full_well_e, 0.03)]
 
 
-def sensitivity_e_per_lx_s_um2(reading: Any, cut_nm: float | None) -> float:
+def sensitivity_e_per_lx_s_um2(reading, cut_nm: float | None) -> float:
     """Sensitivity under D65 on the photodiode, by a sum in steps of 1 nm."""
     nm = np.arange(360.0, 831.0)
     efficiency = pixel_035(response=reading, infrared_cut_nm=cut_nm).quantum_efficiency(nm)
@@ -1007,7 +1058,7 @@ QUIET_SHEET = {
 }
 
 
-def unstated(gain_db: float = 0.0, silent: tuple[str, ...] = (), **over: Any) -> float:
+def unstated(gain_db: float = 0.0, silent: tuple[str, ...] = (), **over) -> float:
     """Black level of a data sheet, which states none, with 20 e- of noise and 15 e- of offsets."""
     offsets = {"offset_fpn": None, "column_fpn": None, "dsnu_e": 15.0}
     sheet = QUIET_SHEET | offsets | {"black_level_dn": None} | over
@@ -1291,7 +1342,7 @@ FLAT_E = 0.6 * 40_000 - DARK_E
 PART = SIGNAL_E / FLAT_E
 
 
-def residual(**correction: Any) -> list[float]:
+def residual(**correction) -> list[float]:
     terms = residual_variance_e2(SIGNAL_E, TIME_S, readout(), Correction(**correction))
     return [float(term) for term in (terms.temporal, terms.offsets, terms.flat, terms.gain)]
 

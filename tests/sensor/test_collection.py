@@ -4,7 +4,6 @@ and efficiencies of whole pixels.
 
 import math
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
@@ -55,10 +54,10 @@ WIDE = Camera(die_mm=0.48, focal_length_mm=0.4, f_number=2.0)  # 40° in the cor
 SLOW = Camera(die_mm=0.48, f_number=16.0)
 OBLONG = Camera(die_mm=0.4, die_height_mm=0.3, focal_length_mm=0.4, f_number=2.0)
 NM = np.arange(420.0, 701.0, 20.0)
-BARE: dict[str, Any] = {"height_um": 4.0, "index": 1.5}
+BARE = {"height_um": 4.0, "index": 1.5}
 LENS = BARE | {"microlens": "square"}
 DIFFUSION = {"depletion_um": 1.0, "diffusion_length_um": 10.0}
-STACKS: dict[str, dict[str, Any]] = {
+STACKS: dict[str, dict] = {
     "bare": BARE,
     "lens": LENS,
     "optimal": LENS | {"shift": "optimal"},
@@ -68,7 +67,7 @@ STACKS: dict[str, dict[str, Any]] = {
     "bare, diffusion": BARE | DIFFUSION,
     "bare, crosstalk": BARE | {"crosstalk": 0.1},
 }
-QUIET: dict[str, Any] = {"pitch_um": 6.0, "infrared_cut_nm": 720.0, "prnu": 0.0}
+QUIET = {"pitch_um": 6.0, "infrared_cut_nm": 720.0, "prnu": 0.0}
 # A process whose quantum efficiency was measured on whole pixels under microlenses.
 LENSED = load_technology("0.35um").model_copy(
     update={
@@ -81,11 +80,11 @@ LENSED = load_technology("0.35um").model_copy(
 EMVA = emva_illumination(np.array([550.0]), np.ones(1))
 
 
-def physics(technology: Technology | None = None, **over: Any) -> PixelPhysics:
+def physics(technology: Technology | None = None, **over) -> PixelPhysics:
     return derive(Pixel(**QUIET | over), technology)
 
 
-def picture(values: Any, side: int = 96) -> SpectralImage:
+def picture(values, side: int = 96) -> SpectralImage:
     data = 1e-3 * np.broadcast_to(values, (side, side, NM.size))
     return SpectralImage(NM, 20.0, 480 / side, data=data, header={"diffraction": False})
 
@@ -100,7 +99,7 @@ def chain(
     image: SpectralImage = UNIFORM,
     *,
     is_corrected: bool = True,
-    **settings: Any,
+    **settings,
 ) -> ImagingChain:
     display = Display(white_cd_per_m2=1e4, raster="one_to_one", shading_correction=is_corrected)
     return imaging_chain(image, camera, pixel.pixel, Exposure(), display, **settings)
@@ -138,9 +137,7 @@ PHONE = [
         ("optimal", PHONE, 2e-3),
     ],
 )
-def test_shares_between_points_agree_with_the_kernel(
-    name: str, table: Any, tolerance: float
-) -> None:
+def test_shares_between_points_agree_with_the_kernel(name: str, table, tolerance: float) -> None:
     """All bands and a direct pupil at places between the nodes: polynomials over the field and the
     spectrum, and linear steps.
     """
@@ -174,7 +171,7 @@ def test_shares_between_points_agree_with_the_kernel(
     ],
 )
 def test_stack_that_loses_nothing_is_left_out_within_its_bound(
-    fields: dict[str, Any], tolerance: float
+    fields: dict, tolerance: float
 ) -> None:
     """The error of the mean electrons, over those of the brightest pixel, is at most the bound;
     without tolerance there is none.
@@ -210,7 +207,7 @@ def of_lens(pixel: PixelPhysics) -> float:
     return float(collected_shares(pixel.stack, disc_pupil(numerical_aperture(8.0)), [550.0]).sum())
 
 
-def measured(pitch_um: float, at_um: float | None = None, **over: Any) -> float:
+def measured(pitch_um: float, at_um: float | None = None, **over) -> float:
     """Collected fraction of a pixel of the process, whose efficiency was measured at a pitch."""
     process = LENSED.model_copy(update={"quantum_efficiency_pitch_um": at_um})
     return collected_fraction(physics(process, pitch_um=pitch_um, fill_factor=0.4, **over), EMVA)
@@ -430,12 +427,12 @@ GRATING = SpectralImage(
 HALF = {"pitch_um": 5.0, "fill_factor": 0.5}
 
 
-def contrast(**over: Any) -> float:
+def contrast(**over) -> float:
     line = mean_signal_rate(GRATING, SLOW, physics(**over))[48]
     return float(2 * (line / line.mean() * WAVE).mean())
 
 
-def kernel_transform(stack: dict[str, Any]) -> float:
+def kernel_transform(stack: dict) -> float:
     """Of the shares of a pixel at the frequency of the grating."""
     pixel = physics(**HALF, stack=stack)
     kernel = kernel_on_axis(pixel, illumination_of(GRATING, SLOW, pixel))
@@ -475,9 +472,7 @@ CONTRASTS = [
     ],
     ids=lambda cell: str(next(iter(cell.values()))),
 )
-def test_white_of_a_colour_sensor_is_what_its_channels_collect_of_uniform_light(
-    cell: dict[str, Any],
-) -> None:
+def test_white_of_a_colour_sensor_is_what_its_channels_collect_of_uniform_light(cell: dict) -> None:
     """A channel's mean on axis is its mixing matrix times the light of each channel; without a
     stack's crosstalk that matrix is diagonal.
     """

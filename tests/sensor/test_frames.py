@@ -11,7 +11,6 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -48,7 +47,7 @@ BURST_S = 0.04
 BURST_SHAPE = (500, 100)  # rows are independent but for the offsets of columns
 BURST = Exposure(integration_s=BURST_S, frames=COUNT)
 SINGLE = Exposure(integration_s=BURST_S / COUNT)
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 2.0,
     "full_well_e": 8000,
     "read_noise_e": 3.0,
@@ -65,7 +64,7 @@ SHEET: dict[str, Any] = {
 NO_SPREAD = {"prnu": 0.0, "dsnu": 0.0}
 
 
-def reading(**over: Any) -> Readout:
+def reading(**over) -> Readout:
     return Readout.of(derive(Pixel(**SHEET | over)))
 
 
@@ -129,7 +128,7 @@ def test_burst_is_the_sum_of_its_exposures(name: str) -> None:
     ],
     ids=["pixels", "binned"],
 )
-def test_saturated_pixels_are_those_full_in_any_exposure(more: dict[str, Any]) -> None:
+def test_saturated_pixels_are_those_full_in_any_exposure(more: dict) -> None:
     """Row k is 40 standard deviations above the well in exposure k alone, the last two never; the
     sum is below half of all wells.
     """
@@ -206,7 +205,7 @@ SHAPE = (200, 250)
 TIME_S = 0.02
 # A pixel in which each kind of noise is visible, in a linear range: no clipping at 0 DN, no
 # saturation.
-NOISY: dict[str, Any] = {
+NOISY = {
     "pitch_um": 6.0,
     "full_well_e": 20000.0,
     "read_noise_e": 20.0,
@@ -226,13 +225,13 @@ CLEAN = dict.fromkeys(
 PLAIN = Exposure(integration_s=TIME_S)
 
 
-def sensor_of(shape: tuple[int, int] = SHAPE, **over: Any) -> Sensor:
+def sensor_of(shape: tuple[int, int] = SHAPE, **over) -> Sensor:
     return sample_sensor(Readout.of(derive(Pixel(**NOISY | over))), shape, seeded(0))
 
 
 def corrected_e(
     sensor: Sensor,
-    signal_e: Any,
+    signal_e,
     correction: Correction,
     exposure: Exposure = PLAIN,
     balance: Array | None = None,
@@ -255,7 +254,7 @@ def corrected_e(
         {"column_clamp": 8, "dark_frames": 4, "flat_frames": 8},
     ],
 )
-def test_correction_leaves_the_closed_form(frames: dict[str, Any], signal_e: float) -> None:
+def test_correction_leaves_the_closed_form(frames: dict, signal_e: float) -> None:
     """Mean over columns, which are independent, of the squared residual; 5 standard errors: 6e-7
     false alarms each. 4 % of a variance is outside, and what a column shares 20 %. The closed form
     is of first order: PRNU² and 1/L beside 1 are 4e-4.
@@ -269,7 +268,7 @@ def test_correction_leaves_the_closed_form(frames: dict[str, Any], signal_e: flo
 
 @pytest.mark.parametrize("frames", [{"dark_frames": 4}, {"dark_frames": 4, "flat_frames": 4}])
 @pytest.mark.parametrize("burst", [1, 4])
-def test_correction_at_gain_leaves_the_closed_form(frames: dict[str, Any], burst: int) -> None:
+def test_correction_at_gain_leaves_the_closed_form(frames: dict, burst: int) -> None:
     """Dark and flat frames have the gain and the exposures of the picture, whatever those of the
     sensor: at 0 dB the read noise would be 300 e-, and the flat level beyond the ADC's range.
     """
@@ -384,9 +383,7 @@ def coded_frame(dn: np.ndarray = CODES, bits: int = 12) -> Frame:
         (RawFrame(CODES[:, :3], black_level_dn=np.tile(CELL, (2, 2))[:3, :3]), None),
     ],
 )
-def test_numbers_and_facts_are_read_back(
-    suffix: str, written: Any, facts: Any, tmp_path: Path
-) -> None:
+def test_numbers_and_facts_are_read_back(suffix: str, written, facts, tmp_path: Path) -> None:
     """And written again, they make the same file."""
     path = tmp_path / f"raw{suffix}"
     write_frame(path, written)
@@ -532,7 +529,7 @@ def test_fraction_at_the_top_code_is_counted(
     assert (stored.saturated_fraction, stored.top_code_fraction) == (saturated, at_top)
 
 
-def test_formats_of_16_bits_are_refused_for_frames_of_more(tmp_path: Path, capsys: Any) -> None:
+def test_formats_of_16_bits_are_refused_for_frames_of_more(tmp_path: Path, capsys) -> None:
     with pytest.raises(SystemExit):
         cli.main(["run", "csf", "--pixel.bits", "20", "--raw", "png", "--out", f"{tmp_path}/deep"])
     assert "--raw: got tiff or png for frames of 20 bits" in capsys.readouterr().err
@@ -552,7 +549,7 @@ def test_formats_of_16_bits_are_refused_for_frames_of_more(tmp_path: Path, capsy
     ],
 )
 def test_tiff_states_its_mosaic_as_other_programs_do(
-    layout: str, size: Any, pattern: Any, tmp_path: Path
+    layout: str, size, pattern, tmp_path: Path
 ) -> None:
     """Tags 33421 and 33422 of TIFF/EP: rows and columns, then 0 for red, 1 for green, 2 for blue;
     none for other colours.
@@ -597,7 +594,7 @@ def test_black_levels_of_each_place_of_the_cell_are_read(photometric: int, tmp_p
 
 
 @pytest.mark.parametrize("size", [{}, {"t50713": (3, [2, 3])}])
-def test_black_levels_that_fit_no_cell_are_named(size: dict[str, Any], tmp_path: Path) -> None:
+def test_black_levels_that_fit_no_cell_are_named(size: dict, tmp_path: Path) -> None:
     tags = {"t50714": (3, [1, 2, 3, 4])} | size
     tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 1, **tags)
     with pytest.warns(UserWarning, match="black levels whose cell"):
@@ -660,7 +657,7 @@ def test_deep_rgb_of_a_png_is_read_to_the_last_bit(
     ],
 )
 def test_other_tiffs_are_refused(
-    kind: str, channels: int, photometric: int, tags: dict[str, Any], words: str, tmp_path: Path
+    kind: str, channels: int, photometric: int, tags: dict, words: str, tmp_path: Path
 ) -> None:
     tiff(tmp_path / "a.tif", np.full((8, 6, channels), 9, kind), photometric, **tags)
     with pytest.raises(pixsim.PixsimError, match=words):
@@ -676,9 +673,7 @@ def test_other_tiffs_are_refused(
         ("a.png", {}),
     ],
 )
-def test_the_first_of_several_pages_is_read(
-    name: str, options: dict[str, Any], tmp_path: Path
-) -> None:
+def test_the_first_of_several_pages_is_read(name: str, options: dict, tmp_path: Path) -> None:
     pages = [Image.fromarray(np.full((8, 6), 100 + page, np.uint16)) for page in range(3)]
     pages[0].save(tmp_path / name, save_all=True, append_images=pages[1:], **options)
     with pytest.warns(UserWarning, match="several pages"):

@@ -6,7 +6,6 @@ Conservation and closed forms at the extremes of pitch and size: pixsim.verifica
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ NM = np.array([420.0, 530.0, 660.0])
 WIDTH_NM = np.array([40.0, 60.0, 50.0])
 
 
-def cell_means(antiderivative: Callable[[Any], Any], n: int, length: float) -> np.ndarray:
+def cell_means(antiderivative: Callable, n: int, length: float) -> np.ndarray:
     """Exact means of a function over n equal cells of [0, length]."""
     return np.asarray(np.diff(antiderivative(np.linspace(0, length, n + 1))) * n / length)
 
@@ -46,7 +45,7 @@ def spline_of(samples: np.ndarray, degree: int = 5) -> BSpline:
     return make_interp_spline(np.arange(len(samples) + 1.0), running, k=degree, axis=0)
 
 
-def rising(x: Any) -> Any:
+def rising(x):
     """Antiderivative of a smooth function, whose spline errs by 1.3e-10."""
     return 3 * x - 10 * np.cos(x / 10 + 0.4)
 
@@ -330,7 +329,7 @@ def waves(x: np.ndarray) -> np.ndarray:
     "colour",
     [None, {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}],
 )
-def test_signal_is_the_light_at_the_registered_places(colour: dict[str, Any] | None) -> None:
+def test_signal_is_the_light_at_the_registered_places(colour: dict | None) -> None:
     """The pixels' own intervals of the running integral, in the ratio of their light, which is the
     same for all pixels of a channel; 0.01 pixel off gives 1e-3.
     """
@@ -372,14 +371,14 @@ def test_factors_of_both_signs_give_the_electrons_of_their_bands(diffraction: bo
     assert np.abs(mean_signal_rate(general, Camera(), physics) / rates[1] - 1).max() > 1e-3
 
 
-def per_joule(nm: float, within: Any = None, **options: Any) -> float:
+def per_joule(nm: float, within=None, **options) -> float:
     """Electrons of a joule of light in a band of 10 nm."""
     image = SpectralImage([nm], 10.0, 1.0, data=np.ones((1, 1, 1)), within=within)
     physics = derive(Pixel(pitch_um=8.0, **options))
     return float(integration.electrons_per_joule(physics, image)[0]) / 10
 
 
-def electrons(efficiency: float, nm: Any) -> float:
+def electrons(efficiency: float, nm) -> float:
     return float(np.sum(efficiency * np.asarray(nm) * 1e-9 / (planck * light_speed)))
 
 

@@ -6,7 +6,6 @@ import math
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -247,7 +246,7 @@ NO_LENS = {"diffraction": False}
 PHYSICS = derive(Pixel(technology="4t-bsi", pitch_um=10.0, quantum_efficiency=0.5))
 
 
-def hole(nm: tuple[float, ...] = (550.0,), **header: Any) -> SpectralImage:
+def hole(nm: tuple[float, ...] = (550.0,), **header) -> SpectralImage:
     """A black square in the middle of white, whose band values are 1, 2, …."""
     plane = np.ones((SIDE, SIDE))
     plane[32:64, 32:64] = 0
@@ -345,7 +344,7 @@ PHONE = [(0.7056, 0.93386), (1.4112, 0.7916), (2.1168, 0.6233), (2.8224, 0.47913
     ],
 )
 def test_table_of_relative_illumination_replaces_the_fall_off(
-    table: Any, heights_mm: list[float], expected: list[float], tolerance: float
+    table, heights_mm: list[float], expected: list[float], tolerance: float
 ) -> None:
     """Its values at its heights, and between them those of the curve that it samples."""
     die = {"die_mm": 5.6448, "die_height_mm": 4.2336, "focal_length_mm": 4.38, "f_number": 1.73}
@@ -376,6 +375,6 @@ def test_table_of_relative_illumination_replaces_the_fall_off(
         ({"relative_illumination": [[9.0, 0.9]], "file": "phone"}, "together with lens.file"),
     ],
 )
-def test_tables_of_light_that_cannot_be_are_refused(options: dict[str, Any], words: str) -> None:
+def test_tables_of_light_that_cannot_be_are_refused(options: dict, words: str) -> None:
     with pytest.raises((PixsimError, ValueError), match=words):
         camera_with_lens(Camera(), CameraOptions(), LensOptions(**options))

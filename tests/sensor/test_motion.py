@@ -4,7 +4,6 @@ moved form is known and the lamp's light over each exposure.
 
 import math
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -203,7 +202,7 @@ def test_no_motion_is_equal_to_the_bit(motion: Motion) -> None:
         ({"pixels_per_s": (0.0, 0.0)}, ""),
     ],
 )
-def test_what_moves_is_told_in_its_unit(velocity: dict[str, Any], text: str) -> None:
+def test_what_moves_is_told_in_its_unit(velocity: dict, text: str) -> None:
     assert motion_text(Motion(**velocity)).partition(" by ")[2] == text
 
 
@@ -241,7 +240,7 @@ def test_cases_that_score_other_parts_are_noted(margin: dict[str, float], count:
     ],
 )
 def test_paths_without_room_are_refused(
-    motion: dict[str, Any], exposure: dict[str, Any], display: dict[str, Any], words: str
+    motion: dict, exposure: dict, display: dict, words: str
 ) -> None:
     settings = {
         "exposure": Exposure(**exposure),
@@ -256,13 +255,13 @@ def test_paths_without_room_are_refused(
 
 
 ROWS, HZ, DEPTH = 400, 100.0, 0.6
-LAMP: dict[str, Any] = {"flicker_hz": HZ, "flicker_depth": DEPTH}
+LAMP = {"flicker_hz": HZ, "flicker_depth": DEPTH}
 STRIP = Camera(die_mm=0.01, die_height_mm=1.0, object_distance_m=0.5, focal_length_mm=4.0)
 SENSOR = make_sensor(PIXEL, STRIP)
 RATE = np.full(SENSOR.shape, 1e5)
 
 
-def row_light(seed: int = 0, **exposure: Any) -> np.ndarray:
+def row_light(seed: int = 0, **exposure) -> np.ndarray:
     """Light of each row over that of steady light."""
     flickering = Exposure.model_validate(LAMP | exposure)
     frame = capture_from_rates(RATE, SENSOR, flickering, np.random.default_rng(seed))
@@ -299,7 +298,7 @@ def test_each_row_has_the_light_of_its_own_time(frames: int, row: int) -> None:
 
 
 @pytest.mark.parametrize("shutter", ["global", "rolling"])
-def test_whole_periods_are_steady_to_the_bit(shutter: Any) -> None:
+def test_whole_periods_are_steady_to_the_bit(shutter) -> None:
     lamp = {"flicker_hz": HZ, "flicker_depth": 1.0}
     exposure = Exposure(integration_s=0.03, shutter=shutter, line_time_us=20.0, **lamp)
     codes = [

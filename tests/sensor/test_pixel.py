@@ -2,10 +2,7 @@
 notes say of both.
 """
 
-import csv
-import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,17 +13,7 @@ import pixsim
 from pixsim.base.errors import MAX_LABEL, PixsimError
 from pixsim.base.toml import packaged, read_toml
 from pixsim.light.spectral import VISIBLE, WIDEST, SpectralImage, Spectrum
-from pixsim.optics.camera import Camera
 from pixsim.optics.lens_defocus import DEPTHS
-from pixsim.sensor.camera_data import (
-    FOLDER,
-    TYPICAL,
-    camera_channels,
-    camera_names,
-    camera_sensitivities,
-    cameras,
-    has_common_scale,
-)
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.integration import lights_of, mean_signal_rate
@@ -42,7 +29,7 @@ from pixsim.sensor.technology import Junction, Technology, load_technology
 from pixsim.sensor.unit_slips import SLIPS, unit_slips
 from pixsim.viewer.merging import merge
 
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 4.0,
     "full_well_e": 10_000.0,
     "read_noise_e": 2.0,
@@ -65,13 +52,13 @@ NOISY_PROCESS = load_technology("4t-bsi").model_copy(
 )
 
 
-def bsi(**fields: Any) -> PixelPhysics:
+def bsi(**fields) -> PixelPhysics:
     """A pixel of 4 µm without a stack."""
     pixel = {"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"enabled": False}}
     return derive(Pixel.model_validate(pixel | fields))
 
 
-def physics(**over: Any) -> PixelPhysics:
+def physics(**over) -> PixelPhysics:
     """A data sheet with numbers in place of those that state the same."""
     return derive(Pixel.model_validate(merge({"pixel": SHEET}, {"pixel": over})["pixel"]))
 
@@ -173,7 +160,7 @@ def physics(**over: Any) -> PixelPhysics:
         ("a border of 1.5 pixels", physics(), "border_um", 6.0),
     ],
 )
-def test_values_of_a_pixel(name: str, pixel: PixelPhysics, attribute: str, expected: Any) -> None:
+def test_values_of_a_pixel(name: str, pixel: PixelPhysics, attribute: str, expected) -> None:
     value = getattr(pixel, attribute, None)
     if not hasattr(pixel, attribute):
         value = getattr(Readout.of(pixel), attribute)
@@ -225,7 +212,7 @@ def test_a_saturation_capacity_is_solved_once_and_scales_with_the_area(
     ],
 )
 def test_a_later_layer_replaces_a_quantity_in_any_word(
-    before: dict[str, Any], later: dict[str, Any], left: dict[str, Any]
+    before: dict, later: dict, left: dict
 ) -> None:
     assert merge({"pixel": before}, {"pixel": later}) == {"pixel": left}
 
@@ -393,7 +380,7 @@ def test_labels_are_unique_and_a_printable_line(technologies: list[str], labels:
 NM = np.arange(365.0, 1100.0, 10.0)
 
 
-def light(spectrum: np.ndarray, **header: Any) -> SpectralImage:
+def light(spectrum: np.ndarray, **header) -> SpectralImage:
     data = np.broadcast_to(spectrum, (8, 8, NM.size)).copy()
     return SpectralImage(NM, 10.0, 5.0, data=data, header={"diffraction": False, **header})
 
@@ -426,7 +413,11 @@ def test_share_beyond_a_table_is_that_of_its_last_value(
     """There is a note where it is more than 1 %."""
     (curve,) = tables_of(physics).values()
     check("share", share_beyond(curve, image, physics), share, atol=1e-7, why="float32 of light")
-    notes = [note for note in pixel_notes(physics, Camera(die_mm=0.04), image) if "ends at" in note]
+    notes = [
+        note
+        for note in pixel_notes(physics, pixsim.Camera(die_mm=0.04), image)
+        if "ends at" in note
+    ]
     assert len(notes) == (share > 0.01)
 
 
@@ -452,7 +443,9 @@ def test_share_beyond_a_table_is_that_of_its_last_value(
 def test_notes_appear_when_they_should(
     physics: PixelPhysics, image: SpectralImage, words: str
 ) -> None:
-    notes = pixel_notes(physics, Camera(die_mm=0.04, object_distance_m=1e3, f_number=1.0), image)
+    notes = pixel_notes(
+        physics, pixsim.Camera(die_mm=0.04, object_distance_m=1e3, f_number=1.0), image
+    )
     assert [note for note in notes if words in note] if words else not notes
 
 
@@ -515,9 +508,7 @@ def test_light_outside_the_computed_range_widens_it_or_is_noted() -> None:
         ({}, {"gain_e_per_dn": 20.0}, ""),
     ],
 )
-def test_number_in_another_unit_is_noted(
-    slip: dict[str, Any], usual: dict[str, Any], mended: str
-) -> None:
+def test_number_in_another_unit_is_noted(slip: dict, usual: dict, mended: str) -> None:
     values = {name: value for name, value in (SHEET | usual).items() if value is not None}
     assert not unit_slips(Pixel(**values))
     if slip:
@@ -528,11 +519,11 @@ def test_number_in_another_unit_is_noted(
 
 def test_both_fields_of_a_slip_exist() -> None:
     names = {*SLIPS, *(slip.meant for slip in SLIPS.values() if slip.meant)}
-    assert names <= Pixel.model_fields.keys() | Camera.model_fields.keys()
+    assert names <= Pixel.model_fields.keys() | pixsim.Camera.model_fields.keys()
 
 
 BANDS_NM = np.arange(405.0, 700.0, 10.0)
-SMALL = Camera(die_mm=0.1)
+SMALL = pixsim.Camera(die_mm=0.1)
 GRID = np.arange(400.0, 701.0, 10.0)
 
 
@@ -556,7 +547,7 @@ def picture() -> SpectralImage:
     )
 
 
-def signal(colour: dict[str, Any] | None, **fields: Any) -> np.ndarray:
+def signal(colour: dict | None, **fields) -> np.ndarray:
     return mean_signal_rate(picture(), SMALL, bsi(colour=colour, **fields))
 
 
@@ -570,7 +561,7 @@ def signal(colour: dict[str, Any] | None, **fields: Any) -> np.ndarray:
     ids=lambda cell: str(next(iter(cell.values()))),
 )
 @pytest.mark.parametrize("pitch_um", [4.0, 3.45], ids=["odd", "even"])
-def test_each_pixel_has_the_signal_of_its_channel(cell: dict[str, Any], pitch_um: float) -> None:
+def test_each_pixel_has_the_signal_of_its_channel(cell: dict, pitch_um: float) -> None:
     """That of a monochrome sensor of the channel's quantum efficiency."""
     letters = channels_of(cell.get("matrix") or PATTERNS[cell["pattern"]])
     colour = cell | {"quantum_efficiencies": {letter: CURVES[letter] for letter in letters}}
@@ -605,7 +596,7 @@ def test_crosstalk_mixes_colours_before_noise() -> None:
     """
     data = np.full((100, 100, BANDS_NM.size), 1e-3)
     uniform = SpectralImage(BANDS_NM, 10.0, 1.0, data=data, header={"diffraction": False})
-    slow = Camera(die_mm=0.1, f_number=1e3)
+    slow = pixsim.Camera(die_mm=0.1, f_number=1e3)
     stack = {"height_um": 4.0, "index": 1.5, "microlens": "none"}
     cells = [
         mean_signal_rate(uniform, slow, bsi(colour=RGB, stack=stack | {"crosstalk": crosstalk}))
@@ -677,74 +668,3 @@ def test_damaged_curves_are_refused(text: str, words: str, tmp_path: Path) -> No
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=words):
         bsi(colour={"quantum_efficiencies": str(path)})
-
-
-# --- The packaged cameras
-
-
-def test_all_cameras_of_the_index_are_there_with_licence_and_notice() -> None:
-    assert len(camera_names()) == 52
-    assert {path.stem for path in FOLDER.glob("*.csv")} == {*camera_names(), "index"}
-    assert "Apache License" in (FOLDER / "LICENSE").read_text(encoding="utf-8")
-    assert "Academy Software Foundation" in (FOLDER / "NOTICE").read_text(encoding="utf-8")
-
-
-def test_peaks_are_those_of_the_index() -> None:
-    """The index was made from the source: a column or a file that was swapped would have another
-    peak or peak wavelength.
-    """
-    with (FOLDER / "index.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    for row in rows:
-        name = row["file"].removesuffix(".csv")
-        nm, responses = camera_sensitivities(name)
-        np.testing.assert_array_equal(nm, np.arange(380.0, 781.0, 5.0))
-        peaks = [float(row[f"peak_{channel}"]) for channel in "rgb"]
-        np.testing.assert_allclose(responses.max(axis=0), peaks, rtol=1e-5, err_msg=name)
-        peaks_nm = [float(peak_nm) for peak_nm in row["peak_nm_rgb"].split("/")]
-        assert nm[responses.argmax(axis=0)].tolist() == peaks_nm, name
-
-
-def test_two_cameras_have_lost_the_ratio_of_their_channels() -> None:
-    separate = {name for name in camera_names() if not has_common_scale(name)}
-    assert separate == {"ARRI_D21", "Nikon_D5100"}
-    for name in separate:
-        assert camera_sensitivities(name)[1].max(axis=0).tolist() == [1.0, 1.0, 1.0]
-    assert {entry.name for entry in cameras() if "channels lost" in entry.description} == separate
-
-
-def test_typical_filters_peak_where_measured_cameras_do() -> None:
-    """Within the 15 nm that they state, of the median of the measured cameras; these have an
-    infrared filter, which moves red. Dyes are clear at 900 nm: the channels are alike there.
-    """
-    entries = cameras()
-    assert [entry.name for entry in entries] == [*camera_names(), *TYPICAL]
-    medians = np.median([entry.peak_nm for entry in entries if entry.kind == "measured"], axis=0)
-    for entry in entries[-len(TYPICAL) :]:
-        assert "no measurement" in entry.notes
-        np.testing.assert_allclose(entry.peak_nm[1:3], medians[1:], atol=15)
-        assert medians[0] <= entry.peak_nm[0] <= medians[0] + 45
-        nm, values = camera_sensitivities(entry.name)
-        assert (values.shape, values.max()) == ((nm.size, len(camera_channels(entry.name))), 1)
-        infrared = values[nm == 900][0]
-        assert infrared.max() < 1.25 * infrared.min()
-
-
-@pytest.mark.parametrize(
-    ("name", "nm", "channel", "sign"),
-    [("Typical_RGB_FSI", 420.0, 2, -1), ("Typical_RGB_NIR", 850.0, 0, 1)],
-)
-def test_deep_silicon_has_more_infrared_and_a_dead_layer_less_blue(
-    name: str, nm: float, channel: int, sign: int
-) -> None:
-    wavelength_nm, back = camera_sensitivities("Typical_RGB_BSI")
-    _, values = camera_sensitivities(name)
-    relative = values[wavelength_nm == nm, channel] / values[wavelength_nm == 530.0, 1]
-    reference = back[wavelength_nm == nm, channel] / back[wavelength_nm == 530.0, 1]
-    assert sign * (relative / reference - 1) > 0.15
-
-
-def test_page_lists_every_camera() -> None:
-    page = (Path(__file__).parents[2] / "docs/colour.md").read_text(encoding="utf-8")
-    table = page.partition("## The cameras")[2].partition("| maker")[2]
-    assert re.findall(r"`(\w[\w-]+_[\w-]+)`", table) == [entry.name for entry in cameras()]

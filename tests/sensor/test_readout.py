@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ SHAPE = (4, 100_000)
 TIME_S = 0.1
 DIE_UM = 2713.6
 # A pixel with no noise but that of photons.
-CLEAN: dict[str, Any] = {
+CLEAN = {
     "dark_current_e_per_s": 0,
     "read_noise_e": 0,
     "reset_noise_factor": 0,
@@ -60,7 +59,7 @@ ALL = {
 HOT = {"hot_pixel_fraction": 0.03, "hot_pixel_median": 5.0, "hot_pixel_spread": 0.4}
 
 
-def reading(**over: Any) -> Readout:
+def reading(**over) -> Readout:
     return Readout.of(derive(Pixel(**CLEAN | over)))
 
 
@@ -80,7 +79,7 @@ def frame_of(readout: Readout, signal_e: float) -> np.ndarray:
 
 # Options and signal in e-. Each noise is the largest part of its variance, or 12 % of it
 # (rounding).
-NOISES: dict[str, tuple[dict[str, Any], float]] = {
+NOISES: dict[str, tuple[dict, float]] = {
     "photons": ({}, 10_000),
     "dark charge": ({"dark_current_e_per_s": 100_000}, 0),
     "dark non-uniformity": ({"dark_current_e_per_s": 10_000, "dsnu": 0.3}, 0),
@@ -403,7 +402,7 @@ QUIET = {
 }
 
 
-def process_reading(technology: str = "0.35um", **options: Any) -> Readout:
+def process_reading(technology: str = "0.35um", **options) -> Readout:
     pixel = Pixel(technology=technology, pitch_um=PITCHES_UM[technology], **options)
     return Readout.of(derive(pixel))
 
@@ -443,7 +442,7 @@ def test_charge_grows_with_light_and_time_up_to_its_limits(
 # --- Signal of the sensor
 
 
-def exact_level_e(readout: Readout, generated_e: Any) -> np.ndarray:
+def exact_level_e(readout: Readout, generated_e) -> np.ndarray:
     """Signal level after 30 ms, without tables."""
     stored_e = np.minimum(generated_e, readout.full_well_e)
     physics = readout.physics
@@ -466,7 +465,7 @@ def frame_dn(readout: Readout, mean_e: float, shape: tuple[int, int] = (8, 8)) -
 @pytest.mark.parametrize("conversion", ["linear", "junction"])
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.97, 1.03, 30.0])
 def test_frames_without_noise_have_the_level_of_the_kernel(
-    monkeypatch: pytest.MonkeyPatch, limit: Any, conversion: Any, share: float
+    monkeypatch: pytest.MonkeyPatch, limit, conversion, share: float
 ) -> None:
     readout = process_reading(well_limit=limit, conversion=conversion, bits=16, **QUIET)
     monkeypatch.setattr(sensors, "_shot_noise", lambda mean_e, rng: mean_e.copy())
@@ -546,7 +545,7 @@ FOLLOWING = Readout.of(
 )
 
 
-def frame_at(exposure: pixsim.Exposure, rate_e_per_s: float) -> Any:
+def frame_at(exposure: pixsim.Exposure, rate_e_per_s: float):
     sensor = sensors.sample_sensor(READOUT, (16, 16), seeded(1))
     return sensors.capture_from_rates(np.full((16, 16), rate_e_per_s), sensor, exposure, seeded(2))
 
@@ -593,7 +592,7 @@ def test_evaluation_is_that_of_the_stated_gain() -> None:
     camera = pixsim.Camera(die_mm=0.8)
     display = pixsim.Display(dots=32)
 
-    def score(gain_db: Any) -> pixsim.Score:
+    def score(gain_db) -> pixsim.Score:
         exposure = pixsim.Exposure(gain_db=gain_db)
         return pixsim.evaluate(light, camera, PIXEL, exposure, display, metrics=["information"])
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +32,7 @@ from pixsim.sensor.technology import Technology, load_technology
 
 T035 = load_technology("0.35um")
 LENS = {"height_um": 4.0, "index": 1.5, "microlens": "square"}
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 4.0,
     "full_well_e": 1e4,
     "read_noise_e": 2.0,
@@ -47,12 +46,12 @@ DEVICE = Readout.of(derive(Pixel(pitch_um=100.0)))
 DARKNESS = np.random.default_rng(0)
 
 
-def pixel(**over: Any) -> Pixel:
+def pixel(**over) -> Pixel:
     """A data sheet with some numbers in place of others."""
     return Pixel(**{name: value for name, value in (SHEET | over).items() if value is not None})
 
 
-def process(**over: Any) -> Technology:
+def process(**over) -> Technology:
     """The 0.35 µm process with other numbers, also of its junction."""
     record = T035.model_dump() | {"ranges": {}, "distributions": {}} | over
     if record["junction"]:
@@ -62,23 +61,23 @@ def process(**over: Any) -> Technology:
     return Technology(**record)
 
 
-def at_red(**over: Any) -> None:
+def at_red(**over) -> None:
     derive(pixel(quantum_efficiency_nm=850, **over))
 
 
-def in_light(physics: Any) -> float:
+def in_light(physics) -> float:
     return collected_fraction(physics, emva_illumination(np.array([550.0]), np.ones(1)))
 
 
-def colour(**over: Any) -> None:
+def colour(**over) -> None:
     derive(pixel(technology="4t-bsi", quantum_efficiency=None, colour=RGB | over))
 
 
-def channel_b(curve: Any) -> None:
+def channel_b(curve) -> None:
     colour(quantum_efficiencies={"R": FLAT, "G": FLAT, "B": curve})
 
 
-def relative(camera: str, **over: Any) -> None:
+def relative(camera: str, **over) -> None:
     response = {"sensitivities": camera, "peak_quantum_efficiency": 0.5}
     colour(quantum_efficiencies=None, **response | over)
 
@@ -245,6 +244,10 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         "pinned photodiode of 4t-bsi",
     ),
     "pitch without a photodiode": (lambda: derive(Pixel(pitch_um=5.0)), "5.13.*transistors"),
+    "circuits that fill the pixel": (
+        lambda: derive(Pixel(pitch_um=6.0, readout={"area_um2": 36.0})),
+        "readout.area_um2: got 36 in a pixel of 6 µm; allowed: below 36",
+    ),
     "pitch of an unfinished data sheet": (
         lambda: derive(Pixel(pitch_um=2.0, full_well_e=1e4, read_noise_e=2.0)),
         "give dark_current_e_per_s, quantum_efficiency",

@@ -141,7 +141,8 @@ print(os.getcwd() == before, matplotlib.rcParams["lines.linewidth"])
 @pytest.mark.parametrize(
     ("who", "kind", "printed"),
     [
-        ("command", "file", "True 1.5"),
+        # a command opens neither
+        pytest.param("command", "file", "True 1.5", marks=pytest.mark.slow),
         ("command", "pipe", "True 1.5"),
         ("library", "file", "True 9.0"),
         (

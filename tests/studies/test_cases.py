@@ -5,7 +5,6 @@ each setting makes the stages anew that depend on it, and no others. Studies of 
 import json
 import weakref
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -14,7 +13,6 @@ from helpers.study_settings import CHANGES
 from helpers.tiny import COARSE, TINY, lit_sensors, rows, tiny, toml_of
 
 import pixsim
-from pixsim import Camera, SpectralImage, Study
 from pixsim.base import cache
 from pixsim.studies.design import BASE, cases_of, light_hash, pixel_of
 from pixsim.studies.files import load_study
@@ -46,8 +44,8 @@ NIGHT = {"name": "night", "set": {"scene": {"parameters": {"luminance_cd_per_m2"
 LIGHTS = {"name": "light", "set": [LIGHT, "display.white_cd_per_m2"], "from": 50.0, "to": 100.0}
 
 
-def small(**over: Any) -> Study:
-    return Study.model_validate(merge(SMALL, over))
+def small(**over) -> pixsim.Study:
+    return pixsim.Study.model_validate(merge(SMALL, over))
 
 
 def rows_without(folder: Path, *labels: str, **values: str) -> list[dict[str, str]]:
@@ -68,7 +66,7 @@ def test_cases_are_a_product_then_single_moves_each_under_every_condition() -> N
     times = {"name": "integration", "set": "exposure.max_integration_s"} | times_s
     study = tiny(axis=[LENS, times, PRNU], condition=[DAY, NIGHT])
     settings = json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True)))
-    cases = cases_of(Study.model_validate(settings))
+    cases = cases_of(pixsim.Study.model_validate(settings))
     assert [case.labels for case in cases] == [case.labels for case in cases_of(study)]
     assert len(cases) == (2 * 2 + 1 + 2) * 2
     assert [case.words for case in cases[:2]] == [
@@ -96,7 +94,7 @@ def test_cases_are_a_product_then_single_moves_each_under_every_condition() -> N
     ],
     ids=["setting", "tables"],
 )
-def test_an_axis_may_set_the_technology(axis: dict[str, Any]) -> None:
+def test_an_axis_may_set_the_technology(axis: dict) -> None:
     cases = cases_of(tiny(axis=[{"name": "process"} | axis]))
     assert [case.settings.technologies for case in cases] == [("0.5um",), ("0.25um",)]
 
@@ -136,7 +134,7 @@ def test_settings_of_the_pixel_hold_for_data_sheets(tmp_path: Path) -> None:
     ],
 )
 def test_option_that_axes_or_conditions_set_is_named(
-    tables: dict[str, Any], words: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
+    tables: dict, words: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:
     (tmp_path / "s.toml").write_text('name = "s"\n')
     load_study(tmp_path / "s.toml", camera={"f_number": 3.0}, **tables)
@@ -243,10 +241,10 @@ def test_lights_behind_the_lens_are_held_one_at_a_time_where_one_has_room(
     """And that which replaces it; none of them in the result."""
     monkeypatch.setattr(scene_light, "SCENE_CACHE_BYTES", 1)
     prepare_scene = scene_light.prepare_scene
-    references: list[weakref.ref[Any]] = []
+    references: list[weakref.ref] = []
     counts: list[int] = []
 
-    def counted(*arguments: Any, **options: Any) -> Any:
+    def counted(*arguments, **options):
         light = prepare_scene(*arguments, **options)
         references.append(weakref.ref(light.rate_e_per_s_um2))
         counts.append(sum(reference() is not None for reference in references))
@@ -295,19 +293,19 @@ STAGES = {name: ({}, {name: value}, stages) for name, (value, stages) in CHANGES
 }
 
 
-def stages(study: Study) -> dict[str, str]:
+def stages(study: pixsim.Study) -> dict[str, str]:
     """The key of each stage of a study in one light."""
-    light = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
-    (sensor, *_) = lit_sensors(study, light, Camera())
+    light = pixsim.SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
+    (sensor, *_) = lit_sensors(study, light, pixsim.Camera())
     _, score_key = sensor.keys(6.0, 2)
     return {"light": light_hash(study), "frame": sensor.pixel_hash(6.0), "score": score_key}
 
 
-@pytest.mark.parametrize("name", [*Study.model_fields, *list(STAGES)[len(CHANGES) :]])
+@pytest.mark.parametrize("name", [*pixsim.Study.model_fields, *list(STAGES)[len(CHANGES) :]])
 def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
     over, change, expected = STAGES[name]
     before = tiny(**over)
-    after = Study.model_validate(before.model_dump(exclude_unset=True) | change)
+    after = pixsim.Study.model_validate(before.model_dump(exclude_unset=True) | change)
     assert after != before
     keys_after = stages(after)
     changed = {stage for stage, key in stages(before).items() if key != keys_after[stage]}
@@ -337,8 +335,8 @@ STACKS = [
 ]
 
 
-def filters(**over: Any) -> Study:
-    table: dict[str, Any] = {
+def filters(**over) -> pixsim.Study:
+    table: dict = {
         "name": "filters",
         "technologies": ["4t-bsi"],
         "repeats": 2,
@@ -348,7 +346,7 @@ def filters(**over: Any) -> Study:
         "display": {"dots": 24},
         "pitch": {"values_um": [2.0, 2.5, 3.0, 4.0, 6.0]},
     }
-    return Study.model_validate(merge(table, over))
+    return pixsim.Study.model_validate(merge(table, over))
 
 
 @IN_COLOUR

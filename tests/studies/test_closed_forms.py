@@ -5,7 +5,6 @@ closed forms.
 import math
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -53,11 +52,11 @@ def study_of(conditions: int) -> Study:
     return Study(name="x", pixel=SHEET, condition=CONDITIONS[:conditions])
 
 
-def parabola(best_um: float, best: float, bend: float, pitch_um: Any = PITCH_UM) -> Any:
+def parabola(best_um: float, best: float, bend: float, pitch_um=PITCH_UM):
     return best + bend * np.log(pitch_um / best_um) ** 2
 
 
-def curve(condition: str = "", scatter: float = 1e-6, **means: Any) -> Curve:
+def curve(condition: str = "", scatter: float = 1e-6, **means) -> Curve:
     """A curve of metrics whose means at the sizes are known, with the scatter of four sensors."""
     sensors = np.random.default_rng(1).standard_normal((PITCH_UM.size, 4))
     metrics = metrics_named(list(means))
@@ -117,7 +116,7 @@ def weighted_best(regrets: Regrets) -> list[float]:
     return [optimum.pitch_um, optimum.value]
 
 
-def fit_numbers(fit: Any) -> list[float]:
+def fit_numbers(fit) -> list[float]:
     return [fit.optimum.pitch_um, *fit.optimum.interval_um]
 
 
@@ -128,7 +127,7 @@ def predicted(before: float | None, error: float = 0.4) -> tuple[float, ...]:
     return fine.predicted_on(1024, coarse)
 
 
-def steps(delta_e: Any, finer: Any = ([0.0],) * 3, blur_error: float = 0.0) -> FilmSteps:
+def steps(delta_e, finer=([0.0],) * 3, blur_error: float = 0.0) -> FilmSteps:
     """Return mean ΔE in parts of a picture on a film, on two coarser and on finer ones."""
     return FilmSteps(np.array(delta_e), np.array(finer), np.inf, blur_error)
 
@@ -140,7 +139,7 @@ def measured_cells() -> int:
     return sum((rows.stop - rows.start) * (side.stop - side.start) for rows, side in regions)
 
 
-def values_of_axis(table: dict[str, Any]) -> list[float]:
+def values_of_axis(table: dict) -> list[float]:
     axis = Axis.model_validate({"name": "a", "set": "pixel.read_noise_e"} | table)
     return [float(point.value) for point in axis.points]
 
@@ -356,7 +355,7 @@ def linear(x: np.ndarray) -> np.ndarray:
     return 2 * x[:, 0] + x[:, 1] + 5
 
 
-def share_numbers(shares: Any) -> list[float]:
+def share_numbers(shares) -> list[float]:
     return [share.share for share in shares.values()]
 
 

@@ -5,7 +5,6 @@ and their weighted mean, and other displays.
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock, patch
 
 import numpy as np
@@ -16,7 +15,6 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 import pixsim
-from pixsim import Camera, Study
 from pixsim.optics.camera_lens import Tiling, traced_lens
 from pixsim.report.compare import numbers
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -30,8 +28,8 @@ from pixsim.studies.table import Table
 # A chart without samples that is the same on every die, few pixels and dots: a comparison takes
 # 0.2 s.
 EDGE = "slanted_edge"
-SMALL: dict[str, Any] = {"scene": EDGE, "display": {"dots": 48}, "resolution": 48, "jobs": 1}
-OPTIONS: dict[str, Any] = {"match": "view", "repeats": 3, "jobs": 1}
+SMALL = {"scene": EDGE, "display": {"dots": 48}, "resolution": 48, "jobs": 1}
+OPTIONS = {"match": "view", "repeats": 3, "jobs": 1}
 DIM = {"luminance_cd_per_m2": 1.0}
 DAY = {
     "scene": {"parameters": {"luminance_cd_per_m2": 300.0}},
@@ -45,14 +43,12 @@ NIGHT = {
 BOTH = [{"name": "day", "weight": 3.0, "set": DAY}, {"name": "night", "set": NIGHT}]
 
 
-def two_sheets(folder: Path, first: Any = (), second: Any = (), **more: str) -> list[Path]:
+def two_sheets(folder: Path, first=(), second=(), **more: str) -> list[Path]:
     """Write a.toml and b.toml of numbers of `helpers.sheets.sheet`."""
     return [sheet(folder / "a.toml", *first, **more), sheet(folder / "b.toml", *second, **more)]
 
 
-def prepared(
-    files: list[Path], scene: str = "flat", match: Any = "view", **options: Any
-) -> SensorGroup:
+def prepared(files: list[Path], scene: str = "flat", match="view", **options) -> SensorGroup:
     options = {**options, "scene": {"file": scene}}
     return prepare(files, match=match, repeats=2, options=options).shown
 
@@ -75,7 +71,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 SIDES = st.floats(1.0, 40.0)
 CAMERAS = st.lists(
     st.builds(
-        Camera,
+        pixsim.Camera,
         focal_length_mm=st.floats(2.0, 100.0),
         die_mm=SIDES,
         die_height_mm=SIDES,
@@ -90,7 +86,7 @@ CAMERAS = st.lists(
 @given(CAMERAS, st.sampled_from(["view", "lens", "own"]))
 @settings(max_examples=60, deadline=None)
 def test_matched_cameras_see_the_largest_field_that_all_have(
-    cameras: list[Camera], match: Any
+    cameras: list[pixsim.Camera], match
 ) -> None:
     matched = matched_cameras(cameras, match)
     fields = [(camera.fov_deg, camera.height_mm / camera.die_mm) for camera in matched]
@@ -105,7 +101,7 @@ def test_matched_cameras_see_the_largest_field_that_all_have(
 
 @given(CAMERAS)
 @settings(max_examples=60, deadline=None)
-def test_matched_view_scales_the_lens_with_the_die(cameras: list[Camera]) -> None:
+def test_matched_view_scales_the_lens_with_the_die(cameras: list[pixsim.Camera]) -> None:
     """v = f(1 + |m|) over the width of the die is that of the first camera, and the object is as
     wide: detail of the scene is as large on every die, as a fraction of it.
     """
@@ -123,7 +119,10 @@ def test_matched_view_scales_the_lens_with_the_die(cameras: list[Camera]) -> Non
 
 
 def test_matched_lens_is_that_of_the_first_or_of_each() -> None:
-    cameras = [Camera(die_mm=8.0, focal_length_mm=8.0), Camera(die_mm=4.0, focal_length_mm=3.0)]
+    cameras = [
+        pixsim.Camera(die_mm=8.0, focal_length_mm=8.0),
+        pixsim.Camera(die_mm=4.0, focal_length_mm=3.0),
+    ]
     for match, focal_lengths_mm in (("lens", [8.0, 8.0]), ("own", [8.0, 3.0])):
         matched = matched_cameras(cameras, match)
         assert [camera.focal_length_mm for camera in matched] == focal_lengths_mm
@@ -205,7 +204,7 @@ def test_exposure_is_of_each_sensor_and_the_display_of_the_first(tmp_path: Path)
     ],
 )
 def test_frames_are_scored_on_half_and_twice_the_dots(
-    pixels: tuple[str, str], display: dict[str, Any], expected: list[int], tmp_path: Path
+    pixels: tuple[str, str], display: dict, expected: list[int], tmp_path: Path
 ) -> None:
     first, second = pixels
     group = prepared(two_sheets(tmp_path, (3.0, 20.0, first), (3.0, 8.0, second)), display=display)
@@ -312,7 +311,7 @@ def test_best_size_on_another_display_is_that_of_a_study_with_it(tmp_path: Path)
     """From two frames of each size, bit for bit; the curve is that of three frames on the stated
     display. Of a display that is stated, no other is shown.
     """
-    options: dict[str, Any] = {
+    options: dict = {
         "config": sheet(tmp_path / "a.toml"),
         "pitch": {"min_um": 10.0, "max_um": 40.0, "count": 5},
         "refine": False,
@@ -336,9 +335,9 @@ def test_best_size_on_another_display_is_that_of_a_study_with_it(tmp_path: Path)
 # --- conditions and their weighted mean -----------------------------------------------------------
 
 
-def plan(**over: Any) -> Study:
+def plan(**over) -> pixsim.Study:
     table = {"scene": {"file": EDGE}, "resolution": 48, "exposure": {"max_integration_s": 0.05}}
-    return Study(name="both", **table | over)
+    return pixsim.Study(name="both", **table | over)
 
 
 @pytest.fixture(scope="module")

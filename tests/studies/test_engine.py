@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock, patch
 
 import numpy as np
@@ -43,7 +42,7 @@ LIGHTS = {
 }
 TIMES = {"name": "integration", "set": "exposure.max_integration_s", "values": [0.05, 0.1]}
 # Few cells and dots, and five sizes.
-FEW: dict[str, Any] = {
+FEW = {
     "camera": {"die_mm": 0.7},
     "display": {"dots": 32},
     "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]},
@@ -175,7 +174,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 @pytest.fixture
-def client(cluster: str) -> Iterator[Any]:
+def client(cluster: str) -> Iterator:
     from distributed import Client
 
     with Client(cluster, set_as_default=False) as client:
@@ -183,7 +182,7 @@ def client(cluster: str) -> Iterator[Any]:
 
 
 def test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_there(
-    client: Any, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    client, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither scene nor technology: another file of that name in a worker's folder would be taken
     for the user's. Lights of a batch travel together; here two batches of two.
@@ -195,7 +194,7 @@ def test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_the
     assert (tmp_path / "results.csv").read_bytes() == Path("whole/results.csv").read_bytes()
 
 
-def test_cheap_calls_go_to_a_cluster_in_batches(client: Any) -> None:
+def test_cheap_calls_go_to_a_cluster_in_batches(client) -> None:
     """Each comes once, with the data of its `make`.
 
     The first ones go alone, to measure their pace; the last ones are parts of what is left:
@@ -212,7 +211,7 @@ def test_cheap_calls_go_to_a_cluster_in_batches(client: Any) -> None:
 
 
 def test_calls_that_were_lost_with_a_connection_are_made_when_it_is_back(
-    client: Any, monkeypatch: pytest.MonkeyPatch
+    client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from distributed.comm import CommClosedError
 
@@ -283,7 +282,7 @@ def test_a_cluster_that_is_known_by_a_certificate_talks_by_tls_alone(tmp_path: P
 def test_a_lost_scheduler_is_named() -> None:
     scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
     lost = Mock(side_effect=RuntimeError("ConnectionPool is closed"))
-    client: Any = SimpleNamespace(scheduler=scheduler, status="closed", scatter=lost)
+    client = SimpleNamespace(scheduler=scheduler, status="closed", scatter=lost)
     with pytest.raises(pixsim.PixsimError, match=r"--scheduler: got .*10\.0\.0\.1:8786 that ended"):
         list(results_of(double, [(1, nothing)], Workers(client=client)))
 
@@ -305,7 +304,7 @@ STRANGE_WORKER = Mock(**{"run.side_effect": ImportError("no pixsim")})
     ],
 )
 def test_workers_that_cannot_be_had_are_refused(
-    jobs: int | None, scheduler: Any, pattern: str, monkeypatch: pytest.MonkeyPatch
+    jobs: int | None, scheduler, pattern: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engine, "CONNECT_SECONDS", 0.2)
     with pytest.raises(pixsim.PixsimError, match=pattern), workers_for(jobs, scheduler):

@@ -10,7 +10,6 @@ from dataclasses import asdict, replace
 from functools import partial
 from itertools import accumulate
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -51,7 +50,7 @@ from pixsim.viewer.merging import merge
 COARSE_PIXEL = PIXEL.model_copy(update={"pitch_um": 12.5})
 
 
-def imaging(pitch_um: float, dots: int, **more: Any) -> Imaging:
+def imaging(pitch_um: float, dots: int, **more) -> Imaging:
     pixel = PIXEL.model_copy(update={"pitch_um": pitch_um})
     return imaging_of(CAMERA, pixel, display=Display(dots=dots), **more)
 
@@ -184,7 +183,7 @@ FULL = {"data": RNG.random((16, 24, 3))}
 
 @pytest.mark.parametrize("planes", [FACTORED, FULL], ids=["factored", "full"])
 @pytest.mark.parametrize("factor", [1, 2, 4])
-def test_coarser_film_conserves_light(planes: dict[str, Any], factor: int) -> None:
+def test_coarser_film_conserves_light(planes: dict, factor: int) -> None:
     fine = SpectralImage([500, 550, 600], 50, 2.0, header={"source": "a.exr"}, **planes)
     coarse = coarser(fine, factor)
     blocks = fine.data.astype(float).reshape(16 // factor, factor, 24 // factor, factor, 3)
@@ -295,21 +294,21 @@ def test_error_of_a_film_that_is_too_small_is_unknown() -> None:
 # --- the film that is taken -----------------------------------------------------------------------
 
 
-def rendered(*errors: Callable[[int], float], **options: Any) -> tuple[FilmError, list[int]]:
+def rendered(*errors: Callable[[int], float], **options) -> tuple[FilmError, list[int]]:
     """The film that is taken of pixels whose errors on a width are known, and all widths that were
     tried.
     """
     scene = pixsim.load_scene("csf", resolution=256)
     widths: list[int] = []
 
-    def render(scene: Any, plan: Any) -> Rendered:
+    def render(scene, plan) -> Rendered:
         width = scene.resolution or 256
         widths.append(width)
         uniform = np.ones((1, 1)), np.broadcast_to(np.float32(1), (1, width, width))
         image = SpectralImage([550.0], 20.0, 2400 / width, factors=uniform)
         return Rendered(image, RenderNoise(0.1, 0.1, 0.2, 4, "target"))
 
-    def measure(rendered: Rendered, plan: Any) -> FilmError:
+    def measure(rendered: Rendered, plan) -> FilmError:
         image = rendered.image
         delta_e = tuple(error(image.shape[1]) for error in errors)
         count = len(errors)
@@ -348,7 +347,7 @@ def rendered(*errors: Callable[[int], float], **options: Any) -> tuple[FilmError
     ],
 )
 def test_film_is_doubled_until_its_error_is_tolerated_or_no_film_can_be_fine_enough(
-    errors: list[Callable[[int], float]], options: dict[str, Any], films: int, limit: str
+    errors: list[Callable[[int], float]], options: dict, films: int, limit: str
 ) -> None:
     film, widths = rendered(*errors, **options)
     assert widths == [256, 512, 1024, 2048, 4096][:films]
@@ -405,7 +404,7 @@ SMALL = {
 }
 
 
-def lights_of_cases(**over: Any) -> dict[str, tuple[Case[Study], Light]]:
+def lights_of_cases(**over) -> dict[str, tuple[Case[Study], Light]]:
     """The cases of a study and their lights, by the words of the cases."""
     cases = prepare(Study.model_validate(merge(SMALL, over))).cases
     lights = render_lights(cases, lambda _: lambda *_: None, Workers(1), store=lambda image: image)
@@ -442,7 +441,7 @@ def test_dimmer_light_is_that_of_its_render_with_the_film_of_the_brightest() -> 
     ],
 )
 def test_film_is_measured_once_for_cases_that_differ_in_light_alone(
-    count: int, error_delta_e: float, over: dict[str, Any]
+    count: int, error_delta_e: float, over: dict
 ) -> None:
     film = FilmError((64, 64), 11.0, (5.3, 7.0, 11.0), (error_delta_e,) * 3, (0.01,) * 3)
     with patch("pixsim.studies.lights.measure_film", return_value=film) as measure:

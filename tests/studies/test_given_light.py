@@ -5,7 +5,6 @@ sensors, whose frames are those of `pixsim.evaluate`.
 import warnings
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ def light_of(seed: int = 1, width_um: float = 640.0) -> SpectralImage:
     )
 
 
-def without(table: Any, *labels: str) -> list[dict[str, Any]]:
+def without(table, *labels: str) -> list[dict]:
     return [{name: value for name, value in row.items() if name not in labels} for row in table]
 
 
@@ -56,7 +55,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def rows_in(folder: Path) -> list[dict[str, Any]]:
+def rows_in(folder: Path) -> list[dict]:
     """The rows of results.csv, without their keys."""
     return without(rows(folder), "key", "check")
 
@@ -134,7 +133,7 @@ def mean_image(score: FrameScore) -> float:
 def test_numbers_of_pixels_of_one_size_are_those_of_evaluate_bit_for_bit(display: Display) -> None:
     metrics = ["delta_e", "visual_noise", "information", "detectability", mean_image]
     target = LIGHT.with_planes(0.99 * LIGHT.planes)
-    options: dict[str, Any] = {"display": display, "metrics": metrics, "seed": 5, "without": target}
+    options: dict = {"display": display, "metrics": metrics, "seed": 5, "without": target}
     for row, pixel in zip(sweep(LIGHT, PIXELS, **options), PIXELS.values(), strict=True):
         score = evaluate(LIGHT, CAMERA, pixel, **options)
         assert {name: row[name] for name in score.statistics()} == score.statistics()
@@ -195,7 +194,7 @@ def test_processes_change_no_number_and_another_light_does() -> None:
     """Two lights whose headers say the same, in the workers of one another: their chains are not
     mixed up.
     """
-    options: dict[str, Any] = {"display": DISPLAY, "metrics": ["delta_e", mean_image], "repeats": 2}
+    options: dict = {"display": DISPLAY, "metrics": ["delta_e", mean_image], "repeats": 2}
     lights = [light_of(seed) for seed in (1, 2)]
     one_process, two_processes = (
         [list(sweep(light, PIXELS, **options | {"jobs": jobs})) for light in lights]

@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from helpers.tiny import keys, tiny as tiny_study
 from scipy import integrate, special, stats
 
 import pixsim
-from pixsim import Frame
 from pixsim.base.arrays import Array
 from pixsim.report.study_facts import target_notes
 from pixsim.studies.curve import (
@@ -631,7 +629,7 @@ def test_interval_of_all_looks_is_that_beside_an_end(least_um: float, ratio: flo
     ids=["range", "refine", "limit", "list"],
 )
 def test_only_ranges_without_a_target_are_refined(
-    settings: dict[str, Any], is_refined: bool, fit: FittedCurve, evaluations: int
+    settings: dict, is_refined: bool, fit: FittedCurve, evaluations: int
 ) -> None:
     range_um = {"pitch": {"min_um": 5.3, "max_um": 15.0, "count": 9}, "target_ci_um": None}
     sampling = next_round(study_with(**range_um | settings), [curve_with(fit)], {"0.35um": START})
@@ -704,7 +702,7 @@ def test_rise_variance_matches_covariance() -> None:
 # --- rounds of a study
 
 
-def study_with(**over: Any) -> pixsim.Study:
+def study_with(**over) -> pixsim.Study:
     sizes = {"values_um": NINE_UM.tolist()}
     table = {"name": "target", "repeats": 2, "target_ci_um": 1e-3, "pitch": sizes}
     return pixsim.Study.model_validate(table | over)
@@ -745,7 +743,7 @@ def test_next_round_target_is_half_width_and_a_missed_one_has_a_note(
     study = study_with(target_ci_um=target_um)
     curves = [curve_with(fit, interval_um=interval_um)]
     assert (next_round(study, curves, {"0.35um": START}) == {"0.35um": START}) == is_done
-    notes: Any = target_notes(SimpleNamespace(study=study, curves=curves))
+    notes = target_notes(SimpleNamespace(study=study, curves=curves))
     assert (text in "".join(notes), bool(notes)) == (True, bool(text))
 
 
@@ -813,7 +811,11 @@ def test_study_adds_rounds_to_limit(done: tuple[StudyResult, Path]) -> None:
 
 @pytest.mark.parametrize(("begun", "rows"), [(12, 4), (20, 24)], ids=["at first", "in a round"])
 def test_study_interrupted_round_is_resumed(
-    begun: int, rows: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+    begun: int,
+    rows: int,
+    done: tuple[StudyResult, Path],
+    tmp_path: Path,
+    evaluations: list[pixsim.Frame],
 ) -> None:
     """Rows are written as they are made: an interruption leaves those of the rounds before, and
     some of a round.

@@ -5,7 +5,6 @@ entry points of packages.
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def rms_error(score: Any) -> float:
+def rms_error(score) -> float:
     return float(np.sqrt(np.mean((score.image - score.ideal) ** 2)))
 
 
@@ -40,7 +39,7 @@ def test_a_function_is_a_metric_of_a_study_in_any_process(plan: Path, tmp_path: 
         return (plane + plane.mean()) / 2
 
     axis = [{"name": "aperture", "set": "camera.f_number", "values": [2.8, 8.0]}]
-    functions: dict[str, Any] = {"metrics": ["delta_e", rms_error], "develop": {"denoise": halved}}
+    functions: dict = {"metrics": ["delta_e", rms_error], "develop": {"denoise": halved}}
     result = study(plan, tmp_path / "1", jobs=1, axis=axis, **functions)
     study(plan, tmp_path / "2", jobs=2, axis=axis, **functions)
     assert (tmp_path / "1/results.csv").read_bytes() == (tmp_path / "2/results.csv").read_bytes()
@@ -54,8 +53,8 @@ def test_a_function_is_a_metric_of_a_study_in_any_process(plan: Path, tmp_path: 
 def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(
     plan: Path, tmp_path: Path, evaluations: list[Frame]
 ) -> None:
-    def made(factor: float) -> Any:
-        def scaled(score: Any) -> float:
+    def made(factor: float):
+        def scaled(score) -> float:
             return factor * rms_error(score)
 
         return scaled
@@ -70,7 +69,7 @@ def test_rows_of_another_code_are_computed_anew_and_those_of_the_same_are_not(
     np.testing.assert_array_equal(values, [values[0], values[0], 2 * values[0]])
 
 
-def from_text(text: str, **names: Any) -> Any:
+def from_text(text: str, **names):
     scope = {"np": np, **names}
     exec(text, scope)
     return scope["mine"]
@@ -79,7 +78,7 @@ def from_text(text: str, **names: Any) -> Any:
 BASE = "def mine(score):\n    return float(score.image.mean())"
 
 
-def of_helper(gain: Any, bias: float, image: int = 0) -> Any:
+def of_helper(gain, bias: float, image: int = 0):
     helper = from_text("def mine(x):\n    return float(x.mean()) * gain", gain=gain)
     text = "def mine(score):\n    return helper(score.image) + bias"
     return from_text(text, helper=helper, bias=bias, image=image)
@@ -105,14 +104,14 @@ def of_helper(gain: Any, bias: float, image: int = 0) -> Any:
     ],
 )
 def test_content_of_a_function_is_its_code_and_what_it_refers_to(
-    first: Any, second: Any, alike: bool
+    first, second, alike: bool
 ) -> None:
     assert (content_of(first, []) == content_of(second, [])) is alike
 
 
 def test_runs_and_comparisons_take_functions_too() -> None:
     """The quieter sensor has the smaller error."""
-    small: dict[str, Any] = {
+    small: dict = {
         "display": {"dots": 32},
         "resolution": 48,
         "pixel": {"pitch_um": 60.0},

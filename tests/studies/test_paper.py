@@ -4,9 +4,9 @@ what another study over it, whose axes are moved alone, does to these statements
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ from helpers.tiny import COARSE, PITCHES_UM, keys, tiny, tiny_toml
 from scipy import ndimage, signal
 
 import pixsim
-from pixsim import Pixel, load_technology
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
@@ -116,14 +115,14 @@ SLOW = Camera(f_number=4.0)
 ONE_LINE = np.array([550.0])
 # nm: no lens in air is fast enough to make diffraction vanish, but a wavelength can be short enough
 X_RAYS = np.array([0.01])
-PAPER = derive(Pixel(capacitance="paper"))
+PAPER = derive(pixsim.Pixel(capacitance="paper"))
 HOT_E = 30 * PAPER.dark_current_e_per_s * FIGURE_2_INTEGRATION_S
 PAPER_NM = np.arange(400.0, 721.0, 5.0)
 LINE_555_NM = np.where(PAPER_NM == 555.0, 1.0, 0.0)
 EQUAL = np.ones(1)
 
 
-def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, Pixel]:
+def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, pixsim.Pixel]:
     """The paper's study in daylight, or in light of a spectrum from 400 to 720 nm, (65,), and its
     pixel of 6.5 µm.
     """
@@ -135,30 +134,28 @@ def chen2000(spectrum: Array | None = None) -> tuple[MapStudy, Pixel]:
 
 def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
     result = daylight()
-    physics = derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0))
+    physics = derive(pixsim.Pixel(pitch_um=pitch_um, read_noise_e=12.0))
     exposure_lx_s = mpe30_lx_s(result, physics, integration_s)
     e_per_lx_s = sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
     return float(Readout.of(physics).snr_db(exposure_lx_s * e_per_lx_s, integration_s))
 
 
-def sensitivity(response: str = "literal", cut_nm: float | None = None, **form: Any) -> float:
+def sensitivity(response: str = "literal", cut_nm: float | None = None, **form) -> float:
     """Electrons per lx·s and µm² of daylight, or of another form of it."""
     light = form or {"factors": (SPECTRA, PICTURES)}
     image = SpectralImage(DAYLIGHT_NM, 5.0, 5.3, **light)
     result = replace(daylight(), light=Light(image, Camera()))
     return sensitivity_e_per_lx_s_um2(
-        result, derive(Pixel(response=response, infrared_cut_nm=cut_nm))
+        result, derive(pixsim.Pixel(response=response, infrared_cut_nm=cut_nm))
     )
 
 
-def mtf_of_detail(
-    mtf: Callable[..., Array] = study_mtf_terms, frequency_cy_per_mm: Any = 33.0
-) -> Any:
+def mtf_of_detail(mtf: Callable[..., Array] = study_mtf_terms, frequency_cy_per_mm=33.0):
     result, pixel = chen2000(LINE_555_NM)
     return mtf(result, derive(pixel), np.array(frequency_cy_per_mm))
 
 
-LARGE = derive(Pixel(pitch_um=12.0, quantum_efficiency=0.5))
+LARGE = derive(pixsim.Pixel(pitch_um=12.0, quantum_efficiency=0.5))
 LARGE_SIDE_MM = 1e-3 * LARGE.photodiode_side_um
 PITCH_UM = np.geomspace(5.3, 15.0, 7)
 SPECTRA, PICTURES = daylight().irradiance.factors
@@ -239,7 +236,9 @@ CLAIMS = [
     ),
     Claim(
         "MTF50 of a speck is the lens's: (2/π)(acos x - x√(1-x²)) = ½ at x = 0.403973",
-        lambda: mtf50_cy_per_mm(lit(ONE_LINE, 10.0, EQUAL, SLOW), derive(Pixel(fill_factor=1e-4))),
+        lambda: mtf50_cy_per_mm(
+            lit(ONE_LINE, 10.0, EQUAL, SLOW), derive(pixsim.Pixel(fill_factor=1e-4))
+        ),
         0.403973 * 1e6 / (550.0 * SLOW.effective_f_number),
         rtol=1e-3,
         why="the speck of 65 nm takes 2e-4",
@@ -248,7 +247,7 @@ CLAIMS = [
         "wavelengths of equal power and QE weigh as photons: as λ",
         lambda: system_mtf(
             lit(TWO_NM, 10.0, np.ones(2), SLOW),
-            derive(Pixel(fill_factor=1e-8, quantum_efficiency=0.3)),
+            derive(pixsim.Pixel(fill_factor=1e-8, quantum_efficiency=0.3)),
             FREQUENCY,
         ),
         (450 * OTFS[0] + 650 * OTFS[1]) / 1100,
@@ -286,12 +285,12 @@ CLAIMS = [
         "a dark picture takes equal light",
         lambda: list(
             study_mtf_terms(
-                chen2000(np.zeros(65))[0], derive(Pixel(pitch_um=6.5)), np.array(33.0)
+                chen2000(np.zeros(65))[0], derive(pixsim.Pixel(pitch_um=6.5)), np.array(33.0)
             ).values()
         ),
         list(
             study_mtf_terms(
-                chen2000(np.ones(65))[0], derive(Pixel(pitch_um=6.5)), np.array(33.0)
+                chen2000(np.ones(65))[0], derive(pixsim.Pixel(pitch_um=6.5)), np.array(33.0)
             ).values()
         ),
     ),
@@ -539,7 +538,7 @@ def curve_of(technology: str, optimum_um: float, best: float) -> Curve:
     """A parabola in log pitch with its minimum at `optimum_um`, the same for two sensors."""
     pitch_um = np.geomspace(0.85, 1.8, 16) * optimum_um
     delta_e = np.repeat((best + 0.5 * np.log(pitch_um / optimum_um) ** 2)[:, None], 2, axis=1)
-    fill_factor = np.clip(fill_factor_law(pitch_um, load_technology(technology)), 0, 1)
+    fill_factor = np.clip(fill_factor_law(pitch_um, pixsim.load_technology(technology)), 0, 1)
     best_fit = fit_curve(pitch_um, delta_e)
     return Curve(
         technology,
@@ -568,6 +567,9 @@ def evidence(
     sensor_maps = {pitch: [item + comb, item - comb] for pitch, item in maps.items()}
     curves = {name: curve_of(name, optima_um[name], best[name]) for name in optima_um}
     return Evidence(lit(ONE_LINE, 10.0, np.ones(1), maps=sensor_maps), curves)
+
+
+reference = cache(evidence)
 
 
 # 5 to 73 % of 5.3 to 15 µm are areas as pitch^4.6, not the pitch^1 that √pitch would take.
@@ -622,9 +624,7 @@ FLIPS = {
 
 
 @pytest.mark.parametrize(("change", "against"), FLIPS.values(), ids=FLIPS)
-def test_findings_contrary_evidence_flips_one_row(
-    change: dict[str, Any], against: set[str]
-) -> None:
+def test_findings_contrary_evidence_flips_one_row(change: dict, against: set[str]) -> None:
     rows = table(evidence(**change))
     assert rows.keys() == STATEMENTS, "a row that does not agree stays in"
     assert {name for name, row in rows.items() if not row.agrees} == GROWTH | against
@@ -657,12 +657,11 @@ def test_findings_contrary_evidence_flips_one_row(
     ],
 )
 def test_findings_of_another_optimum(
-    technology: str, change: dict[str, Any], statement: str, agrees: bool
+    technology: str, change: dict, statement: str, agrees: bool
 ) -> None:
-    reference = evidence()
-    curve = reference.curves[technology]
+    curve = reference().curves[technology]
     other = replace(curve, fit=replace(curve.fit, optimum=replace(curve.optimum, **change)))
-    rows = table(Evidence(reference.result, reference.curves | {technology: other}))
+    rows = table(Evidence(reference().result, reference().curves | {technology: other}))
     assert rows[statement].agrees is agrees
 
 
@@ -670,7 +669,7 @@ def test_findings_numbers_are_the_evidence() -> None:
     """The law's fill factor of 31.0 %; the middles of the six bins are (100/3)^(1/12) to
     (100/3)^(11/12) lp/mm, and the thresholds above cross between 3 and 4.
     """
-    rows = table(evidence())
+    rows = table(reference())
     assert {name: rows[name].found for name in (ITS_FILL_FACTOR, SLOWER, CROSS)} == {
         ITS_FILL_FACTOR: "31 %",
         SLOWER: "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm",
@@ -718,11 +717,10 @@ def test_rise_verdicts(
         ),
     ],
 )
-def test_findings_follow_study_process(size: str, settings: dict[str, Any], percent: float) -> None:
+def test_findings_follow_study_process(size: str, settings: dict, percent: float) -> None:
     """Half of the fill factor, and another law, as printed to 0.1 %."""
-    reference = evidence()
     study = Study.model_validate({"name": "known", "iso_delta_e": ISO} | settings)
-    data = Evidence(replace(reference.result, study=study), reference.curves)
+    data = Evidence(replace(reference().result, study=study), reference().curves)
     row = table(data)[f"Fill factor at {size} µm"]
     assert float(row.found.removesuffix("%")) == pytest.approx(percent, abs=0.06)
     assert not row.agrees
@@ -783,16 +781,12 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def sensitivity_study(desk: Path) -> Any:
+@pytest.fixture(scope="module")
+def done(desk: Path):
     return pixsim.study(desk / "tiny.toml", desk / "one", config=desk / "sensitivity.toml", jobs=1)
 
 
-@pytest.fixture(scope="module")
-def done(desk: Path) -> Any:
-    return sensitivity_study(desk)
-
-
-def case(result: Any, axis: str, value: float | str) -> StudyResult:
+def case(result, axis: str, value: float | str) -> StudyResult:
     (part,) = [
         part
         for part in result.parts
@@ -829,12 +823,12 @@ def test_range_of_leaves_out_what_has_no_range_and_an_end_that_is_set() -> None:
     """The peak of 0.35 µm is measured."""
     with pytest.warns(UserWarning, match="no technology of the study has a range"):
         assert axes("peak_quantum_efficiency") == ()
-    low, high = load_technology("0.35um").ranges["dsnu"]
+    low, high = pixsim.load_technology("0.35um").ranges["dsnu"]
     points = [point.label for axis in axes("dsnu", dsnu=low) for point in axis.points]
     assert points == [f"0.35um {high:g}"]
 
 
-def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
+def test_base_case_equals_the_base_study(done, desk: Path) -> None:
     """Same rows as the base run alone with these pitches and sensors: the random streams are its
     own.
     """
@@ -845,7 +839,7 @@ def test_base_case_equals_the_base_study(done: Any, desk: Path) -> None:
     assert set(keys(desk / "a")) < set(keys(desk / "one"))
 
 
-def test_setting_of_the_base_changes_nothing(done: Any) -> None:
+def test_setting_of_the_base_changes_nothing(done) -> None:
     """The smallest pixel lacks light: half of it makes more noise, 2 (4/2.8)² less."""
     base = done.parts[0].curves[0].delta_e
     np.testing.assert_array_equal(case(done, "PRNU", 0.02).curves[0].delta_e, base)
@@ -853,7 +847,7 @@ def test_setting_of_the_base_changes_nothing(done: Any) -> None:
     assert (case(done, "light", "f/2.8").curves[0].delta_e[0] / base[0]).max() < 0.95
 
 
-def test_statements_of_a_case_are_those_of_the_study_alone(done: Any, desk: Path) -> None:
+def test_statements_of_a_case_are_those_of_the_study_alone(done, desk: Path) -> None:
     """All of the paper. The rows of its process are shared between cases that do not change it."""
     part = case(done, "dark current", "all high")
     study = part.study.model_copy(update={"streams": "tiny"})

@@ -13,7 +13,6 @@ from contextlib import nullcontext
 from functools import cache, reduce
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from helpers.study_settings import CHANGES
 from helpers.tiny import rows, tiny, toml_of
 
 import pixsim
-from pixsim import Pixel, PixsimError, SpectralImage, Study
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
@@ -107,11 +105,7 @@ def sheet_toml(folder: Path) -> Path:
     ],
 )
 def test_choose_view_takes_the_least_of_three_limits_and_keeps_settings(
-    pitch_um: float,
-    f_number: float,
-    display: dict[str, Any],
-    scene: dict[str, Any],
-    expected: dict[str, Any],
+    pitch_um: float, f_number: float, display: dict, scene: dict, expected: dict
 ) -> None:
     camera = pixsim.Camera(die_mm=8.0, f_number=f_number, focal_length_mm=12.0)
     chart = pixsim.load_scene("csf", resolution=64, **scene)
@@ -121,7 +115,7 @@ def test_choose_view_takes_the_least_of_three_limits_and_keeps_settings(
 # --- pixel sizes
 
 
-def sheet_study(die_mm: float, pixel: dict[str, Any] | None = None, **pitch: Any) -> Study:
+def sheet_study(die_mm: float, pixel: dict | None = None, **pitch) -> pixsim.Study:
     table = {
         "name": "own",
         "technologies": ["none"],
@@ -129,7 +123,7 @@ def sheet_study(die_mm: float, pixel: dict[str, Any] | None = None, **pitch: Any
         "pixel": NUMBERS | {"data_sheet_pitch_um": 3.45} | (pixel or {}),
         "pitch": pitch,
     }
-    return Study.model_validate(table)
+    return pixsim.Study.model_validate(table)
 
 
 STACK = {"height_um": 5.0, "index": 1.5, "microlens": "square"}
@@ -148,7 +142,7 @@ RANGES = {
     ("study", "die_mm", "end", "min_um", "max_um"), RANGES.values(), ids=RANGES
 )
 def test_fitted_range_is_quarter_to_four_times_within_a_frame_and_the_die(
-    study: Study, die_mm: float, end: str, min_um: float, max_um: float
+    study: pixsim.Study, die_mm: float, end: str, min_um: float, max_um: float
 ) -> None:
     with warnings.catch_warnings(record=True, action="always") as caught:
         fitted = fitted_range(study, pixsim.Camera(die_mm=die_mm))
@@ -230,13 +224,13 @@ FILES = {
 }  # fmt: skip
 
 
-def fields(study: Study, *names: str) -> tuple[Any, ...]:
+def fields(study: pixsim.Study, *names: str) -> tuple[object, ...]:
     """Fields of a study by their dotted names."""
     return tuple(reduce(getattr, name.split("."), study) for name in names)
 
 
 RANGE = {"pitch": {"min_um": 6.0, "count": 7}}
-LAYERS: dict[str, tuple[Callable[[], Any], Any]] = {
+LAYERS: dict[str, tuple[Callable, object]] = {
     "files lie next to the study": (
         lambda: [
             technology_of(load_study("study.toml"), name).dsnu for name in ("mine.toml", "0.25um")
@@ -300,9 +294,8 @@ LAYERS: dict[str, tuple[Callable[[], Any], Any]] = {
 
 @pytest.mark.parametrize(("call", "expected"), LAYERS.values(), ids=LAYERS)
 def test_settings_of_files_and_options_take_precedence(
-    call: Callable[[], Any], expected: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Callable, expected, here: Path
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
         Path(name).write_text(text, encoding="utf-8")
     assert call() == expected
@@ -380,20 +373,16 @@ def test_fit_beside_a_steep_flank() -> None:
 
 @pytest.mark.parametrize("line", ["run csf", "study chen2000", "run siemens_star"])
 def test_dry_run_of_a_chart_renders_and_writes_nothing(
-    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    line: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Renderer, "run", lambda *_, **__: pytest.fail("rendered"))
-    monkeypatch.chdir(tmp_path)
     _, out, err = command(f"{line} --dry-run --json")
     assert json.loads(out)["estimate"]["seconds"] > 1, err
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())
 
 
-def test_dry_run_of_paths_traces_a_small_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An eighth of the picture across, five times; with .01 ΔE asked, it says what is missing."""
-    monkeypatch.chdir(tmp_path)
+def test_dry_run_of_paths_traces_a_small_part(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An eighth of the picture across, five times; with .0001 ΔE asked, it says what is missing."""
     sizes: list[tuple[int, int]] = []
     run = Renderer.run
 
@@ -407,7 +396,7 @@ def test_dry_run_of_paths_traces_a_small_part(
     )
     assert sizes == [(64, 64)] * 5
     assert json.loads(out)["errors"]["rays_over_limit"] > 10
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())
 
 
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
@@ -432,8 +421,8 @@ F_NUMBERS = {"name": "lens", "set": "camera.f_number", "values": [2, 3, 4, 5, 6]
 ALONE = {"name": "d", "range_of": "dsnu", "alone": True}
 
 
-def metric(value: Any = 1.0, name: str = "mine", **marks: Any) -> Callable[[Any], Any]:
-    def mine(score: Any) -> Any:
+def metric(value=1.0, name: str = "mine", **marks) -> Callable:
+    def mine(score):
         return value
 
     mine.__name__ = name
@@ -451,7 +440,7 @@ def labels(*names: str) -> None:
     cases_of(tiny(axis=[{"name": "lens", "values": values}]))
 
 
-RULES: dict[str, tuple[Callable[[], Any], str]] = {
+RULES: dict[str, tuple[Callable, str]] = {
     # names that a spreadsheet, a terminal or a file system would obey
     "a formula": (lambda: conditions("=1+1"), "reads as a formula"),
     "a formula as a label": (lambda: labels("@SUM(A1)"), "reads as a formula"),
@@ -524,7 +513,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
         r"pitch\.min_um",
     ),
     "more problems than fit a message": (
-        lambda: checked(Study, [Layer({"name": "a"} | {f"b{n}": 1 for n in range(5000)})]),
+        lambda: checked(pixsim.Study, [Layer({"name": "a"} | {f"b{n}": 1 for n in range(5000)})]),
         r"(?=(.*\n){10}).*\nand 4990 more problems$",
     ),
     "an unknown technology": (lambda: prepare(tiny(technologies=("0.3um",))), "0.3um"),
@@ -634,7 +623,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
         "46 % are within",
     ),
     "an unknown uncertain number": (
-        lambda: unknowns_of_sheet(Pixel(pitch_um=3.0, **NUMBERS), {"dsnu": Spread(sd=1)}),
+        lambda: unknowns_of_sheet(pixsim.Pixel(pitch_um=3.0, **NUMBERS), {"dsnu": Spread(sd=1)}),
         "no such number",
     ),
     "a number outside its range": (
@@ -655,7 +644,7 @@ RULES: dict[str, tuple[Callable[[], Any], str]] = {
 
 
 @pytest.mark.parametrize(("call", "words"), RULES.values(), ids=RULES)
-def test_a_rule_across_fields_is_refused(call: Callable[[], Any], words: str) -> None:
+def test_a_rule_across_fields_is_refused(call: Callable, words: str) -> None:
     with pytest.raises(ValueError, match=f"(?s){words}"):
         call()
 
@@ -678,7 +667,7 @@ def test_usual_names_are_allowed() -> None:
 
 # --- options of studies, comparisons and sweeps
 
-LIGHT = SpectralImage(
+LIGHT = pixsim.SpectralImage(
     [450.0, 550.0, 620.0],
     30.0,
     10.0,
@@ -686,7 +675,7 @@ LIGHT = SpectralImage(
     header={"diffraction": False, "luminance_cd_per_m2": 3000.0},
 )
 # Arguments of `study`, each with another value than its default; beside the fields of its settings.
-ARGUMENTS: dict[str, Any] = {
+ARGUMENTS = {
     "config": "sensor.toml", "parameters": {"luminance_cd_per_m2": 5.0}, "pixel": {"bits": 8}, "scene": "csf", "quick": True,
     "jobs": 1, "scheduler": "tcp://localhost:8786", "variant": "scalar_spectral", "progress": lambda _: lambda _: None,
     "agreed": True, "uncertainty": 8, "sobol": 8, "smaller_than_um": (3.0,), "metrics": ("delta_e", "acutance"), "light": LIGHT,
@@ -701,7 +690,7 @@ NO_NUMBERS = {
 }  # they decide how and where, and change no number
 VALUES = {name: value for name, (value, _) in CHANGES.items()} | ARGUMENTS
 # In light that is given, axes and conditions vary the sensor and what follows it.
-SWEEP_VALUES: dict[str, Any] = {
+SWEEP_VALUES = {
     "axis": ({"name": "time", "set": "exposure.integration_s", "values": (1e-4, 1e-3)},),
     "condition": ({"name": "dusk", "set": {"exposure": {"integration_s": 1e-4}}},),
 }
@@ -726,7 +715,7 @@ def test_values_are_those_of_all_arguments_and_settings() -> None:
     assert (
         VALUES.keys()
         == (inspect.signature(pixsim.study).parameters.keys() - SUBJECTS - FOLDER)
-        | Study.model_fields.keys()
+        | pixsim.Study.model_fields.keys()
     )
 
 
@@ -743,7 +732,7 @@ def test_options_of_the_command_line_are_those_of_a_study() -> None:
     assert study <= compare
 
 
-def made_by_compare(options: dict[str, Any]) -> object:
+def made_by_compare(options: dict) -> object:
     """What a comparison would make: its cases."""
     small = {"scene": "flat", "resolution": 48, "display": {"dots": 48}}
     job = pixsim.compare(["a.toml", "b.toml"], **small | options)
@@ -754,15 +743,18 @@ def made_by_compare(options: dict[str, Any]) -> object:
     return repr((cases, job.types, job.study and (job.study.name, job.study.detail)))
 
 
-def made_by_sweep(options: dict[str, Any]) -> object:
+def made_by_sweep(options: dict) -> object:
     """What a sweep makes: its rows."""
-    pixels = {"a": Pixel(pitch_um=10.0), "b": Pixel(technology="4t-bsi", pitch_um=10.0)}
+    pixels = {
+        "a": pixsim.Pixel(pitch_um=10.0),
+        "b": pixsim.Pixel(technology="4t-bsi", pitch_um=10.0),
+    }
     return repr(list(pixsim.sweep(LIGHT, pixels, **{"display": {"dots": 24}} | options)))
 
 
 MADE = {"compare": made_by_compare, "sweep": made_by_sweep}
 # Settings that have an effect only beside others.
-BESIDE: dict[str, dict[str, Any]] = {
+BESIDE: dict[str, dict] = {
     "without": {"metrics": ("delta_e", "detectability")},
     "metric": {"metrics": ("delta_e", "information")},
 }
@@ -805,7 +797,7 @@ def made_without(form: str, name: str) -> object:
 def test_option_of_a_study_acts_is_named_or_is_refused(form: str, name: str) -> None:
     options = {name: (VALUES | SWEEP_VALUES if form == "sweep" else VALUES)[name]}
     if name in REFUSED[form]:
-        with pytest.raises(PixsimError, match=rf"^{name}: got a value .*; allowed: "):
+        with pytest.raises(pixsim.PixsimError, match=rf"^{name}: got a value .*; allowed: "):
             MADE[form](options)
         return
 

@@ -7,7 +7,6 @@ Single fields out of range or of another type: tests/test_refusals.py.
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from helpers.tiny import tiny
 from pydantic import ValidationError
 
 import pixsim
-from pixsim import Camera, Display, Pixel, PixsimError, SpectralImage
 from pixsim.studies.design import cases_of, check_number
 from pixsim.studies.prepare import prepare
 from pixsim.studies.settings import Axis, axes_of
@@ -28,31 +26,31 @@ DAY = {"name": "day", "set": {"scene": {"parameters": {"luminance_cd_per_m2": 30
 LABELS = {"name": "a", "values": [{"label": "b", "set": {"resolution": n}} for n in (20, 30)]}
 COLOUR = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 NM = [450.0, 550.0, 620.0]
-LIGHT = SpectralImage(NM, 30.0, 2700 / 64, data=np.full((64, 64, 3), 1e-3, np.float32))
+LIGHT = pixsim.SpectralImage(NM, 30.0, 2700 / 64, data=np.full((64, 64, 3), 1e-3, np.float32))
 
 
-def axis(**over: Any) -> Any:
+def axis(**over):
     table = {"name": "a", "set": "camera.f_number"} | over
     return Axis.model_validate({name: value for name, value in table.items() if value is not None})
 
 
-def condition(table: dict[str, Any]) -> list[dict[str, Any]]:
+def condition(table: dict) -> list[dict]:
     return [{"name": "x", "set": table}]
 
 
-def value(setting: str, setting_value: Any) -> Any:
+def value(setting: str, setting_value):
     return cases_of(tiny(axis=[{"name": "a", "set": setting, "values": [setting_value]}]))
 
 
 given = partial(pixsim.study, "tiny.toml", "out", light=LIGHT)
-sweep = partial(pixsim.sweep, LIGHT, camera=Camera(die_mm=2.7), display=Display())
+sweep = partial(pixsim.sweep, LIGHT, camera=pixsim.Camera(die_mm=2.7), display=pixsim.Display())
 
 
-def compare(*files: str, **options: Any) -> Any:
+def compare(*files: str, **options):
     return pixsim.compare(files, progress=pytest.fail, **options)
 
 
-def compare_in(table: dict[str, Any]) -> Any:
+def compare_in(table: dict):
     settings = {"name": "x", "condition": condition(table)}
     return compare("a.toml", "b.toml", study=pixsim.Study.model_validate(settings))
 
@@ -66,7 +64,7 @@ STACK = {"stack": {"height_um": 5.0, "index": 1.5, "shift_um": [5.5, 0.0]}}
 TECHNOLOGY = {"name": "t", "set": "pixel.technology", "values": ["0.5um"]}
 TARGET = {"metrics": ["detectability"]}
 
-REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
+REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     # An axis
     "axis without values": (axis, ("missing: from", "values")),
     "axis with an empty list": (partial(axis, values=[]), ("empty list",)),
@@ -230,6 +228,10 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
         partial(given, **TARGET),
         ("'detectability'", "without its target"),
     ),
+    "a metric without a best size alone": (
+        partial(given, metrics=["contrast_detection_probability", "delta_e"]),
+        ("first, which has no best pixel size", "as delta_e"),
+    ),
     "ground resolution without a distance": (
         partial(given, metrics=["niirs"]),
         ("'niirs'", "object_distance_m"),
@@ -241,21 +243,24 @@ REFUSALS: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     # Many sensors in one light
     "no sensor": (partial(sweep, []), ("pixels", "none")),
     "a name that is a formula": (
-        lambda: pixsim.sweep(LIGHT, {"=1+1": Pixel()}),
+        lambda: pixsim.sweep(LIGHT, {"=1+1": pixsim.Pixel()}),
         ("pixels", "begins with ="),
     ),
     "a name in place of a pixel": (partial(sweep, ["imx477"]), ("pixels[0]", "a Pixel")),
-    "a pixel larger than the die": (partial(sweep, [Pixel(), Pixel(pitch_um=2e3)]), ("pixel 1",)),
+    "a pixel larger than the die": (
+        partial(sweep, [pixsim.Pixel(), pixsim.Pixel(pitch_um=2e3)]),
+        ("pixel 1",),
+    ),
     "acutance in colour": (
-        partial(sweep, [Pixel(), Pixel(colour=COLOUR)], metrics=["acutance"]),
+        partial(sweep, [pixsim.Pixel(), pixsim.Pixel(colour=COLOUR)], metrics=["acutance"]),
         ("pixel 1", "'acutance'"),
     ),
     "monochrome and colour in a coloured light": (
         lambda: pixsim.sweep(
             LIGHT.with_planes(LIGHT.planes * np.linspace(1, 2, 3)[:, None, None]),
-            [Pixel(pitch_um=60.0), Pixel(pitch_um=60.0, colour=COLOUR)],
-            camera=Camera(die_mm=2.7),
-            display=Display(dots=32),
+            [pixsim.Pixel(pitch_um=60.0), pixsim.Pixel(pitch_um=60.0, colour=COLOUR)],
+            camera=pixsim.Camera(die_mm=2.7),
+            display=pixsim.Display(dots=32),
         ),
         ("one ideal image for all",),
     ),
@@ -345,6 +350,6 @@ def test_refused_with_the_argument_and_the_cause(
     call, words = REFUSALS[name]
     monkeypatch.chdir(folder)
     monkeypatch.setattr("pixsim.scene.renderer.Renderer.image", lambda *_: pytest.fail("a render"))
-    with pytest.raises((PixsimError, ValidationError)) as error:
+    with pytest.raises((pixsim.PixsimError, ValidationError)) as error:
         call()
     assert not [text for text in words if text not in str(error.value)], str(error.value)

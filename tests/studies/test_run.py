@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from helpers.tiny import TINY, rows, tiny
 from scipy import stats
 
 import pixsim
-from pixsim import PixsimError
 from pixsim.base.caller import command_line
 from pixsim.base.files import FILE_LIST
 from pixsim.base.schema import SCHEMA
@@ -26,7 +24,7 @@ from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.run import RunResult
 from pixsim.studies.table import ROWS_FILE
 
-SMALL: dict[str, Any] = {
+SMALL = {
     "pixel": {"pitch_um": 21.2},
     "resolution": 64,
     "display": {"dots": 64},
@@ -65,7 +63,7 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
     """
     table = "[pixel]\npitch_um = 42.4\nbits = 8\n[exposure]\nintegration_s = 1e-3\n"
     (tmp_path / "sensor.toml").write_text(table, encoding="utf-8")
-    settings: dict[str, Any] = {
+    settings: dict = {
         "config": tmp_path / "sensor.toml",
         "pixel": {"bits": 12},
         "display": {"dots": 32, "white_cd_per_m2": 2000.0},
@@ -100,7 +98,7 @@ def test_registrations_of_repeats_are_spread_from_the_centred_one(
     """As of a study, but for the shift: each repeat is that of a run which states its
     registration.
     """
-    pixel: dict[str, Any] = {"pitch_um": pitch_um}
+    pixel: dict = {"pitch_um": pitch_um}
     several = pixsim.run("csf", repeats=2, **(SMALL | {"pixel": pixel}))
     registration = [(part + first) % 1.0 for part in spread_registration(1)]
     stated = pixsim.run("csf", **(SMALL | {"pixel": pixel | {"registration": registration}}))
@@ -116,7 +114,7 @@ def test_registrations_of_repeats_are_spread_from_the_centred_one(
     ],
     ids=["stated", "one to one"],
 )
-def test_repeats_of_one_registration_are_those_of_one_chain(over: dict[str, Any]) -> None:
+def test_repeats_of_one_registration_are_those_of_one_chain(over: dict) -> None:
     """Their interval holds for that one registration, by Student's t."""
     several = pixsim.run("csf", repeats=3, **(SMALL | over))
     further = [several.chain.simulate("evaluate", 3, repeat).mean_delta_e for repeat in (1, 2)]
@@ -168,7 +166,7 @@ def test_interval_of_spread_registrations_holds_the_mean_and_is_not_long(
 
 # --- two results that exist
 
-COARSE: dict[str, Any] = {"resolution": 48, "display": {"dots": 48}, "repeats": 3}
+COARSE = {"resolution": 48, "display": {"dots": 48}, "repeats": 3}
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +197,9 @@ def test_a_run_does_not_replace_the_rows_of_a_study(tmp_path: Path) -> None:
     run_rows = (tmp_path / ROWS_FILE).read_bytes()
     pixsim.study(tiny(), tmp_path, jobs=1).write(tmp_path)
     study_rows = (tmp_path / ROWS_FILE).read_bytes()
-    with pytest.raises(PixsimError, match=r"holds results\.csv, not written by this command"):
+    with pytest.raises(
+        pixsim.PixsimError, match=r"holds results\.csv, not written by this command"
+    ):
         run.write(tmp_path)
     assert (tmp_path / ROWS_FILE).read_bytes() == study_rows
     assert (tmp_path / f"{ROWS_FILE}.old").read_bytes() == run_rows
@@ -303,7 +303,7 @@ def test_a_damaged_result_is_named(
         (tmp_path / name).unlink()
     else:
         (tmp_path / name).write_bytes(change((tmp_path / name).read_bytes()))
-    with pytest.raises(PixsimError, match=text):
+    with pytest.raises(pixsim.PixsimError, match=text):
         pixsim.compare_results(folders["quiet"], tmp_path)
 
 
@@ -316,7 +316,7 @@ def test_a_damaged_result_is_named(
     ],
 )
 def test_results_without_differences_are_refused(
-    name: str, options: dict[str, Any], text: str, folders: dict[str, Path]
+    name: str, options: dict, text: str, folders: dict[str, Path]
 ) -> None:
-    with pytest.raises(PixsimError, match=text):
+    with pytest.raises(pixsim.PixsimError, match=text):
         pixsim.compare_results(folders["quiet"], folders[name], **options)

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from helpers.tiny import COARSE, TINY, rows, toml_of
 from scipy import stats
 
 import pixsim
-from pixsim import Frame, Pixel, Technology, derive, load_technology
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import SETTINGS_FILE, packaged
@@ -153,7 +151,7 @@ LINEAR_SHARES = {
     ids=["64", "64, other seed", "512", "Sobol' first", "Sobol' total"],
 )
 def test_shares_of_the_inputs(
-    kind: str, sample: tuple[Any, ...], options: dict[str, Any], expected: dict[str, float]
+    kind: str, sample: tuple[object, ...], options: dict, expected: dict[str, float]
 ) -> None:
     """Within 3 of their standard errors: of 500 seeds none of a linear optimum is beyond, and of 100
     seeds none of Sobol' points is beyond 2.9.
@@ -184,9 +182,7 @@ def test_shares_of_the_inputs(
     ],
 )
 @pytest.mark.parametrize("allowed", [(-np.inf, np.inf), (1.6, 3.5)], ids=["whole", "cut"])
-def test_unknown_at_matches_scipy(
-    spread: Spread, reference: Any, allowed: tuple[float, float]
-) -> None:
+def test_unknown_at_matches_scipy(spread: Spread, reference, allowed: tuple[float, float]) -> None:
     """Cut at bounds: the rest of the distribution, over its share. Values are a linear or
     exponential function of the coordinate, as a regression of few powers needs.
     """
@@ -226,7 +222,9 @@ def test_probability_is_jeffreys_interval(holds: int, draws: int) -> None:
 
 def unknowns_of(*names: str) -> list[Unknown]:
     return [
-        unknown for name in names for unknown in unknowns_of_technology(load_technology(name), name)
+        unknown
+        for name in names
+        for unknown in unknowns_of_technology(pixsim.load_technology(name), name)
     ]
 
 
@@ -300,11 +298,11 @@ VOLTAGES = {"voltage_swing_v": (0.9, 2.2), "reset_voltage_v": (1.2, 3.0)}
 def test_unknowns_of_technology_draw_valid_technologies(
     name: str, ranges: dict[str, tuple[float, float]], distribution: str
 ) -> None:
-    base = load_technology(name)
+    base = pixsim.load_technology(name)
     ranges = ranges or base.ranges
     kinds = {number: distribution for number, (low, _) in ranges.items() if low > 0}
     changes = {"ranges": ranges, "distributions": kinds}
-    technology = Technology.model_validate(base.model_dump() | changes)
+    technology = pixsim.Technology.model_validate(base.model_dump() | changes)
     unknowns = unknowns_of_technology(technology, name)
     assert {unknown.name for unknown in unknowns} == {f"{name} {number}" for number in ranges}
     for draw in sample_types(unknowns, 64).draws:
@@ -314,7 +312,7 @@ def test_unknowns_of_technology_draw_valid_technologies(
 
 def test_ranges_of_swing_and_reset_voltage_are_cut_at_the_middle_between_both_values() -> None:
     """A swing above the reset voltage is no pixel."""
-    technology = load_technology("0.35um").model_copy(update={"ranges": VOLTAGES})
+    technology = pixsim.load_technology("0.35um").model_copy(update={"ranges": VOLTAGES})
     swing, reset = (unknown.allowed for unknown in unknowns_of_technology(technology, "mine"))
     assert swing[1] == reset[0] == (1.2 + 2.2) / 2
 
@@ -324,11 +322,11 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
     0.985, where draws end.
     """
     efficiency = {"quantum_efficiency": 0.9, "quantum_efficiency_nm": 600}
-    deep = Pixel(**SHEET | efficiency, quantum_efficiency_depth_um=10)
+    deep = pixsim.Pixel(**SHEET | efficiency, quantum_efficiency_depth_um=10)
     (unknown,) = unknowns_of_sheet(deep, {"quantum_efficiency": Spread(sd=0.05)})
     highest = float(unknown.at(np.array([1.0]))[0])
     assert highest == pytest.approx(1 - np.exp(-10 * absorption_per_um(600.0)), rel=1e-9)
-    physics = derive(deep.model_copy(update={"quantum_efficiency": highest}))
+    physics = pixsim.derive(deep.model_copy(update={"quantum_efficiency": highest}))
     assert physics.quantum_efficiency(350.0) == pytest.approx(1.0, abs=1e-6)
 
 
@@ -339,9 +337,9 @@ def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs()
         ({"height_um": 3.0}, {"height_um"}),
     ],
 )
-def test_stated_numbers_of_a_stack_are_known(stack: dict[str, Any], stated: set[str]) -> None:
+def test_stated_numbers_of_a_stack_are_known(stack: dict, stated: set[str]) -> None:
     study = Study(name="b", technologies=["4t-bsi"], pixel={"stack": stack})
-    left = set(load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in stated}
+    left = set(pixsim.load_technology("4t-bsi").ranges) - {f"stack_{name}" for name in stated}
     assert {unknown.quantity for unknown in unknowns_of_study(study)} == left
 
 
@@ -363,8 +361,8 @@ def test_study_of_a_draw_has_its_numbers(tmp_path: Path) -> None:
     # By the data sheet's PRNU, and by [pixel].
     stated = {"prnu_um", "read_noise_e", "read_noise_after_gain_e"}
     expected = {"read_noise_e", f"{plain} full_well_e", f"{mixed} dsnu"}.union(
-        (f"0.35um {name}" for name in load_technology("0.35um").ranges if name != "dsnu"),
-        (f"{mixed} {name}" for name in load_technology("4t-bsi").ranges.keys() - stated),
+        (f"0.35um {name}" for name in pixsim.load_technology("0.35um").ranges if name != "dsnu"),
+        (f"{mixed} {name}" for name in pixsim.load_technology("4t-bsi").ranges.keys() - stated),
     )
     assert {unknown.name for unknown in unknowns} == expected
 
@@ -432,11 +430,11 @@ SMALL = TINY | {
 }
 
 
-def written(**over: Any) -> str:
+def written(**over) -> str:
     return "".join(f"{name} = {toml_of(value)}\n" for name, value in merge(SMALL, over).items())
 
 
-def sheet(path: Path, table: dict[str, Any] | None = None, **more: Any) -> Path:
+def sheet(path: Path, table: dict | None = None, **more) -> Path:
     path.write_text(f"pixel = {toml_of((table or SHEET) | more)}\n", encoding="utf-8")
     return path
 
@@ -444,25 +442,25 @@ def sheet(path: Path, table: dict[str, Any] | None = None, **more: Any) -> Path:
 # --- of a study
 
 # One column, and so one fit of a type.
-BY_INFORMATION = {"metrics": ["information"], "metric": {"information": {"spectrum": "scene"}}}
+BY_VISUAL_NOISE = {"metrics": ["visual_noise"]}
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
-    """The types of both technologies by information."""
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, Path]:
+    """The types of both technologies by visual noise."""
     folder = tmp_path_factory.mktemp("types")
-    study = Study.model_validate(SMALL | BY_INFORMATION)
+    study = Study.model_validate(SMALL | BY_VISUAL_NOISE)
     return pixsim.study(study, folder, jobs=1, uncertainty=8, smaller_than_um=(1.0,)), folder
 
 
 def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
-    done: tuple[Any, Path], tmp_path: Path
+    done: tuple[object, Path], tmp_path: Path
 ) -> None:
     """With the same random streams, around the optimum of the metric."""
     result, folder = done
     sample = UncertaintyRequest(8).sample(result.study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    table = rows(folder / "types_information.csv")
+    table = rows(folder / "types_visual_noise.csv")
     drawn = [row for row in table if (row["draw"], row["technology"]) == ("3", "0.25um")]
     assert 5 <= len(drawn) <= MAX_TYPE_EVALUATIONS
 
@@ -473,17 +471,17 @@ def test_rows_of_a_type_are_those_of_a_study_with_its_numbers(
         "pitch": {"values_um": [*sorted(set(pitches_um)), 12.0]},
     }  # fmt: skip
     curve = pixsim.study(
-        Study.model_validate(merge(SMALL | BY_INFORMATION, over)), tmp_path, jobs=1
+        Study.model_validate(merge(SMALL | BY_VISUAL_NOISE, over)), tmp_path, jobs=1
     ).curves[0]
-    values = curve.statistics["information"][np.searchsorted(curve.pitch_um, pitches_um)]
+    values = curve.statistics["visual_noise"][np.searchsorted(curve.pitch_um, pitches_um)]
     expected = [each[int(row["repeat"])] for each, row in zip(values, drawn, strict=True)]
-    np.testing.assert_allclose([float(row["information"]) for row in drawn], expected, rtol=1e-9)
+    np.testing.assert_allclose([float(row["visual_noise"]) for row in drawn], expected, rtol=1e-9)
 
 
-def test_verdicts_are_shares_of_the_types(done: tuple[Any, Path]) -> None:
-    """By information more is better; both technologies together have 1."""
+def test_verdicts_are_shares_of_the_types(done: tuple[object, Path]) -> None:
+    """By visual noise less is better; both technologies together have 1."""
     first, second = done[0].uncertainty
-    share = np.mean(first.table["information"] > second.table["information"])
+    share = np.mean(first.table["visual_noise"] < second.table["visual_noise"])
     assert first.verdicts["0.35um is better than 0.25um"].probability == share
     assert second.verdicts["0.25um is better than 0.35um"].probability == 1 - share
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
@@ -647,7 +645,7 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_comparison_of_types_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[pixsim.Frame]
 ) -> None:
     """The line of settings.toml takes up a table of types that was cut off, and finds the same."""
     monkeypatch.chdir(tmp_path)

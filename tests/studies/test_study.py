@@ -3,14 +3,10 @@ table of evaluations, its file, and the memory of many; and results that release
 """
 
 import io
-import json
-import re
-import shutil
 import tracemalloc
 import warnings
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,20 +14,16 @@ from helpers.commands import command
 from helpers.tiny import PITCHES_UM, WHOLE_CHART, rows, tiny as tiny_study, tiny_toml, toml_of
 
 import pixsim
-from pixsim import Frame
 from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.schema import SCHEMA, json_text
 from pixsim.base.toml import packaged, read_toml
 from pixsim.report.axes import optima_columns
 from pixsim.report.curve import delta_e_against_pitch, optimum_line
-from pixsim.report.run import run_document
 from pixsim.report.study import report_files
 from pixsim.studies import evaluate as evaluate_module
 from pixsim.studies.result import StudyResult
 from pixsim.studies.table import COLUMNS, REASON, Store, Table
-from pixsim.viewer.settings_file import run_settings
 
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
 
@@ -76,7 +68,7 @@ def test_study_command_writes_the_rows_of_python(
 # earlier column; 2000: rows are gone.
 @pytest.mark.parametrize("cut_bytes", [0, 4, 60, 2000])
 def test_study_truncated_file_is_completed(
-    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[pixsim.Frame]
 ) -> None:
     whole = (done[1] / "results.csv").read_bytes()
     part = whole[: len(whole) - cut_bytes]
@@ -127,7 +119,9 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
 # --- what a row depends on
 
 
-def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[Frame]) -> None:
+def test_study_changed_texture_is_recomputed(
+    tmp_path: Path, evaluations: list[pixsim.Frame]
+) -> None:
     scene = {"parameters": {"chart": str(tmp_path / "chart.exr")}}
     study = tiny(repeats=2, pitch={"values_um": FIVE_UM}, scene=scene)
     counts = []
@@ -154,12 +148,12 @@ def test_study_changed_texture_is_recomputed(tmp_path: Path, evaluations: list[F
     ids=["other pitches", "another process", "fewer", "more"],
 )
 def test_study_row_depends_on_its_sensor_only(
-    over: dict[str, Any],
+    over: dict,
     count: int,
     shared: int,
     done: tuple[StudyResult, Path],
     tmp_path: Path,
-    evaluations: list[Frame],
+    evaluations: list[pixsim.Frame],
 ) -> None:
     (tmp_path / "results.csv").write_bytes((done[1] / "results.csv").read_bytes())
     pixsim.study(tiny(**over), tmp_path, jobs=1)
@@ -186,7 +180,7 @@ BURST = WHOLE_CHART | {
     ids=["grey", "burst"],
 )
 def test_study_cached_frames_same_bytes(
-    frames: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    frames: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Overexposed, so that some pixels are saturated: they are stored with the frame, since its DN
     do not show them. Neither frames nor the light behind them are computed again; a frame that is
@@ -223,7 +217,7 @@ KEY = ("study", 1, "0.35um", 6.5, 0, "frame")
         ("study", "1", "0.35um", 6.5, 0, "frame"),
     ],
 )
-def test_stream_depends_on_key_only(key: tuple[Any, ...]) -> None:
+def test_stream_depends_on_key_only(key: tuple[object, ...]) -> None:
     """The correlation of 10⁵ pairs of independent numbers is below 5/√n but once in 2 million."""
     numbers = stream(*KEY).normal(size=100_000)
     np.testing.assert_array_equal(numbers, stream(*KEY).normal(size=100_000))
@@ -270,7 +264,7 @@ def test_study_marks_sizes_where_the_model_of_a_microlens_is_doubtful(tmp_path: 
     assert "hollow points" in delta_e_against_pitch([lensed]).caption
 
 
-def table(**more: Any) -> Table:
+def table(**more) -> Table:
     """Two cases of two sensors of one size each, ΔE of 1 to 4."""
     columns = {
         "pitch_um": np.array([5.0, 5.0, 7.5, 7.5]), "repeat": np.array([0, 1, 0, 1], np.int32),
@@ -348,96 +342,3 @@ def test_a_row_with_any_changed_byte_is_computed_again_with_a_note(tmp_path: Pat
         with pytest.warns(UserWarning, match=r"1 row .* kept as 'results.csv.old"):
             assert Store(results.path).resume(lambda _: True) == []
         assert results.path.read_bytes() == head
-
-
-# --- results of release 1.0.0: read, or named with what becomes of them (docs/migration.md)
-
-DATA = Path(__file__).parents[1] / "data" / "release_1_0_0"
-
-
-@pytest.fixture
-def old_study(tmp_path: Path) -> Path:
-    """A copy of the folder of a study."""
-    return Path(shutil.copytree(DATA / "study", tmp_path / "study"))
-
-
-@pytest.mark.parametrize(
-    ("version", "message"),
-    [
-        ("1.0.0", r"results\.csv.*pixsim 1\.0\.0"),
-        # An interrupted study has no list yet.
-        ("", "other settings"),
-        (pixsim.__version__, ""),
-    ],
-)
-def test_rows_are_kept_apart_and_their_release_named(
-    version: str, message: str, old_study: Path
-) -> None:
-    """The list of a folder's files has the version that wrote them."""
-    list_path = old_study / "provenance.json"
-    text = list_path.read_text(encoding="utf-8")
-    list_path.write_text(text.replace('"pixsim": "1.0.0"', f'"pixsim": "{version}"'))
-    if not version:
-        list_path.unlink()
-    before = (old_study / "results.csv").read_bytes()
-    with warnings.catch_warnings(record=True, action="always") as caught:
-        assert not Store(old_study / "results.csv").resume(lambda _: False)
-    assert len(caught) == bool(message)
-    assert re.search(message, "".join(str(warning.message) for warning in caught))
-    assert (old_study / "results.csv.old").read_bytes() == before
-    assert rows(old_study) == []
-
-
-def test_settings_of_a_study_are_those_of_its_rows(old_study: Path) -> None:
-    """Rates of electrons are the same; a repeat now has a place of its own on the die, which moves
-    its mean a little.
-    """
-    before = rows(old_study)
-    with pytest.warns(UserWarning, match=r"pixsim 1\.0\.0"):
-        pixsim.study(old_study / "settings.toml", old_study, jobs=1)
-    now = rows(old_study)
-    assert before[0].keys() <= now[0].keys()
-    for name in ("pitch_um", "repeat", "fill_factor", "full_well_e"):
-        assert [row[name] for row in now] == [row[name] for row in before]
-    # At most one of 90 pixels a side comes in for another, on light that differs by some tenths:
-    # below 1e-3 of the mean.
-    electrons_e = ([float(row["mean_electrons_e"]) for row in each] for each in (now, before))
-    np.testing.assert_allclose(*electrons_e, rtol=1e-3)
-
-
-def test_every_entry_of_a_run_is_still_there() -> None:
-    """Entries may be added within a schema (docs/reference/files.md), those of docs/migration.md
-    are gone.
-    """
-    stated = json.loads((DATA / "run/score.json").read_bytes())
-    result = pixsim.run("csf", config=DATA / "run/settings.toml")
-    gone = {".pixel.dynamic_range_db", ".pixel.snr_max_db"}
-    assert entries(stated) - gone <= entries(json.loads(json_text(run_document(result).data)))
-
-
-def entries(content: object, above: str = "") -> set[str]:
-    """Dotted names of all entries of JSON; those of a list together."""
-    match content:
-        case dict():
-            return {
-                name
-                for key, value in content.items()
-                for name in {f"{above}.{key}", *entries(value, f"{above}.{key}")}
-            }
-        case list() | tuple():
-            return {name for value in content for name in entries(value, f"{above}[]")}
-    return set()
-
-
-def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
-    """Light, sensor, noise and S-CIELAB of one frame are those of 1.0.0: only renders, films and
-    registrations have changed.
-    """
-    light = pixsim.read_irradiance(DATA / "run/irradiance.exr")
-    stated = json.loads((DATA / "run/score.json").read_bytes())
-    assert (stated["schema"], SCHEMA) == (1, 2)
-    camera = pixsim.Camera.model_validate(light.header["camera"])
-    settings = run_settings([DATA / "run/settings.toml"], {})
-    score = pixsim.evaluate(light, camera, settings.pixel, settings.exposure, settings.display)
-    assert score.mean_delta_e == pytest.approx(stated["mean_delta_e"], rel=1e-9)
-    np.testing.assert_array_equal(pixsim.read_frame(DATA / "run/raw.exr").dn, score.frame.dn)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ from pixsim.verification.ladder import EFFORTS, Accuracy, Rung, climb
 from pixsim.viewer.score import LightError
 from pixsim.viewer.setting import Run
 
-SMALL: dict[str, Any] = {"display": {"dots": 32}, "camera": {"die_mm": 0.4}}
+SMALL = {"display": {"dots": 32}, "camera": {"die_mm": 0.4}}
 CASES = [
     KnownAnswer("one", lambda: 1.0, 1.0, 0.1, "it's right").check("optics"),
     KnownAnswer("two & three", lambda: 2.0, 1.0, 0.1, "by <hand>").check("viewer"),
@@ -98,7 +97,7 @@ def test_reference_is_one_whose_error_is_below_a_third_of_the_smallest_shown(
         ("picture.exr", {}, "picture.exr"),
     ],
 )
-def test_a_scene_without_a_ladder_is_refused(scene: str, pixel: dict[str, Any], text: str) -> None:
+def test_a_scene_without_a_ladder_is_refused(scene: str, pixel: dict, text: str) -> None:
     with pytest.raises(pixsim.PixsimError, match=text):
         pixsim.accuracy(scene, quick=True, pixel=pixel)
 
@@ -134,7 +133,7 @@ def test_extreme_cases_pass(room: str) -> None:
     ],
 )
 def test_case_passes_within_its_tolerance_without_a_warning(
-    call: Callable[[], Any], expected: Any, tolerance: float, scale: float | None, passes: bool
+    call: Callable, expected, tolerance: float, scale: float | None, passes: bool
 ) -> None:
     row = KnownAnswer("values", call, expected, tolerance, "", ((),), scale)
     assert row.check().passed == passes
@@ -208,7 +207,7 @@ def lit_rate() -> float:
 
 
 NAMED = {name: row for rows in ROOMS.values() for row in rows() for name in [row[0]]}
-CHARGES: dict[str, Callable[..., Any]] = {
+CHARGES: dict[str, Callable] = {
     "closed form": exact.constant_diode_charge_e,
     "LSODA, an implicit solver, with a tolerance of 1e-13": exact.implicit_charge_e,
     "∫C dV/q of SPICE's C(V) down to V_oc = -V_T ln(1 + i/I_s), by quadrature": (
@@ -216,7 +215,7 @@ CHARGES: dict[str, Callable[..., Any]] = {
     ),
 }
 NUMBERS: dict[
-    str, tuple[Any, Callable[[], Any], float]
+    str, tuple[object, Callable, float]
 ] = {  # of the table, of a closed form, relative tolerance
     "irradiance": (
         [row[-1] for row in extreme_cases.IRRADIANCES],
@@ -294,11 +293,6 @@ def test_numbers_of_the_table_are_those_of_closed_forms(name: str) -> None:
 # --- Wrong kernels ---
 
 
-def padded(picture, pitch_um, nm, weight, f_number):
-    """Diffraction with black padding."""
-    return diffract(np.pad(picture, 8), pitch_um, nm, weight, f_number)[8:-8, 8:-8]
-
-
 def sampled(rate, sample_um, pitch_um, side_um):
     """Point sampling at the centres of the pixels."""
     places = [
@@ -339,7 +333,11 @@ WRONG = {
         lambda f, nm, n: np.maximum(diffraction_otf(f, nm, n), 1e-300),
     ),
     "0.01 % in N": (*OTF, lambda f, nm, n: diffraction_otf(np.asarray(f) * 1.0001, nm, n)),
-    "black padding": ("optics", "diffract", padded),
+    "black padding": (
+        "optics",
+        "diffract",
+        lambda picture, *light: diffract(np.pad(picture, 8), *light)[8:-8, 8:-8],
+    ),
     "rates in single precision": (
         *PIXELS,
         lambda r, *lengths: integrate_pixels(r.astype(np.float32).astype(float), *lengths),

@@ -6,7 +6,6 @@ import math
 import re
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -74,7 +73,7 @@ CAMERA = Camera(focal_length_mm=4.0, die_mm=0.32)
 DISPLAY = Display(dots=64, white_cd_per_m2=1000.0)
 FLAT = Readout.of(derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5)))
 CHECKS = np.indices((64, 64)).sum(axis=0) // 8 % 2 * 0.8 + 0.1
-QUIET: dict[str, Any] = {
+QUIET = {
     "technology": "none",
     "pitch_um": 5.0,
     "full_well_e": 1e4,
@@ -86,7 +85,7 @@ QUIET: dict[str, Any] = {
 STEADY = Exposure()
 
 
-def light(picture: np.ndarray | float, **header: Any) -> SpectralImage:
+def light(picture: np.ndarray | float, **header) -> SpectralImage:
     """Return light of D65 with 1000 cd/m² where the picture is 1."""
     spectrum = spectral.d65(NM)
     lux = 683.002 * 10 * float(spectrum @ spectral.photopic_efficiency(NM))
@@ -101,8 +100,8 @@ def named(
     lightness: tuple[float, float] = (0.0, 100.0),
     saturated_fraction: float = 0.0,
     *,
-    header: dict[str, Any] | None = None,
-    display: dict[str, Any] | None = None,
+    header: dict | None = None,
+    display: dict | None = None,
     exposure: Exposure = STEADY,
     time_s: float = 0.01,
 ) -> tuple[Cause, ...]:
@@ -119,7 +118,7 @@ def named(
     )
 
 
-def delta_e_of(*arguments: Any, **settings: Any) -> list[float]:
+def delta_e_of(*arguments, **settings) -> list[float]:
     return [cause.delta_e for cause in named(*arguments, **settings)]
 
 
@@ -128,7 +127,7 @@ def lightness(luminance: float) -> float:
     return 116 * luminance ** (1 / 3) - 16
 
 
-def lamp(low_nm: float, high_nm: float) -> dict[str, Any]:
+def lamp(low_nm: float, high_nm: float) -> dict:
     """Return the header of a lamp of equal power per nm."""
     return outside_header([Spectrum(np.array([low_nm, high_nm], float), np.ones(2))])
 
@@ -148,7 +147,7 @@ FULL_E = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
 LAMP = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
 BURST = FLAT.burst(8)
 BURST_WHITE_E = BURST.saturation_e - 0.004 * BURST.dark_current_e_per_s
-HALF_FULL: dict[str, Any] = {"saturated_fraction": 0.5, "time_s": 0.004}
+HALF_FULL = {"saturated_fraction": 0.5, "time_s": 0.004}
 EIGHT_BITS = readout_of(bits=8)
 HIDDEN = replace(
     readout_of(full_well_e=65_535.0, bits=16, black_level_dn=30_000), read_noise_e=30_000.0
@@ -287,7 +286,7 @@ def test_closed_forms(claim: Claim) -> None:
 
 
 @pytest.mark.parametrize("entry", ["much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3]])
-def test_header_of_another_program_states_no_share(entry: Any) -> None:
+def test_header_of_another_program_states_no_share(entry) -> None:
     assert outside_share({OUTSIDE: entry}, FLAT.physics) == 0.0
 
 
@@ -315,7 +314,7 @@ def test_ideal_picture_without_contrast_is_named(picture: float, hint: str) -> N
     ],
 )
 def test_hint_names_the_setting_that_states_white(
-    header: dict[str, Any], display: dict[str, float], setting: str
+    header: dict, display: dict[str, float], setting: str
 ) -> None:
     (cause,) = named(lightness=(100.0, 100.0), header=header, display=display)
     assert setting in cause.hint
@@ -356,11 +355,11 @@ def test_uninformative_frame_is_noted_once(
 # --- notes
 
 
-SILICON: dict[str, Any] = {"technology": "4t-bsi", "pitch_um": 5.0, "stack": {"enabled": False}}
+SILICON = {"technology": "4t-bsi", "pitch_um": 5.0, "stack": {"enabled": False}}
 WHITE = {"white_w_per_m2_sr": 200.0}
 
 
-def notes_of(change: dict[str, Any]) -> set[str]:
+def notes_of(change: dict) -> set[str]:
     """Return the ids of the notes of one evaluation, of light that was rendered with a camera."""
     header = {"camera": CAMERA.model_dump(mode="json")} | change.get("light", {})
     pixel = Pixel.model_validate(SILICON | change.get("pixel", {}))
@@ -376,7 +375,7 @@ def notes_of(change: dict[str, Any]) -> set[str]:
     return {note.id for note in notes}
 
 
-ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
+ROWS: list[tuple[str, dict, dict]] = [
     ("unit_slip", {"pixel": {"prnu": 0.2}}, {"pixel": {"prnu": 0.002}}),
     ("other_camera", {"camera": CAMERA.model_copy(update={"f_number": 2.0})}, {"camera": CAMERA}),
     ("assumed", {"display": {}}, {"display": WHITE}),
@@ -400,9 +399,7 @@ ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("kind", "causing", "other"), ROWS, ids=[row[0] for row in ROWS])
-def test_settings_cause_their_note(
-    kind: str, causing: dict[str, Any], other: dict[str, Any]
-) -> None:
+def test_settings_cause_their_note(kind: str, causing: dict, other: dict) -> None:
     assert kind in NOTES
     assert [kind in notes_of(change) for change in (causing, other)] == [True, False]
 
@@ -416,7 +413,7 @@ TIME_S = 0.02
 BUDGET_CAMERA = Camera(die_mm=SIDE * SAMPLE_UM / 1e3)
 BUDGET_DISPLAY = Display(dots=64, bits=16, white_cd_per_m2=2e3)
 # Sources of like size: rounding by 10 bits is 4 e-.
-ALL: dict[str, Any] = {
+ALL = {
     "technology": "4t-bsi",
     "pitch_um": 2.0,
     "bits": 10,
@@ -432,7 +429,7 @@ ALL: dict[str, Any] = {
     "column_fpn": 6e-4,
     "stack": {"enabled": False},
 }
-NOISELESS: dict[str, Any] = {
+NOISELESS = {
     **dict.fromkeys(("prnu", "dsnu", "read_noise_e", "row_noise_e"), 0),
     **dict.fromkeys(("dark_current_e_per_s", "offset_fpn", "column_fpn"), 0),
 }
@@ -441,7 +438,7 @@ PICTURE = 0.006 * (0.75 + 0.25 * np.sin(X / 5 + Y / 9))[..., None]
 LIGHT = SpectralImage([550.0], 10.0, SAMPLE_UM, data=PICTURE)
 
 
-def budget_of(image: SpectralImage = LIGHT, *, pixel: Any = None, **settings: Any) -> NoiseBudget:
+def budget_of(image: SpectralImage = LIGHT, *, pixel=None, **settings) -> NoiseBudget:
     arguments = {
         "camera": BUDGET_CAMERA,
         "display": BUDGET_DISPLAY,
@@ -521,7 +518,7 @@ def test_noise_reduction_has_the_blur_of_the_expected_frame(pattern: str | None)
         [450.0, 550.0, 620.0], 60.0, SAMPLE_UM, data=PICTURE * np.array([0.3, 0.4, 0.3])
     )
     fields = {"colour": colour} if pattern else {}
-    settings: dict[str, Any] = {"pixel": fields, "exposure": Exposure(integration_s=5e-5)}
+    settings: dict = {"pixel": fields, "exposure": Exposure(integration_s=5e-5)}
     plain = budget_of(image, **settings)
     develop = Develop(denoise="wiener_bound")
     reduced = budget_of(image, develop=develop, **settings)
@@ -611,7 +608,7 @@ OBSERVER = {
 }
 
 
-def parts(colour: dict[str, Any] | None, **fields: Any) -> dict[str, float]:
+def parts(colour: dict | None, **fields) -> dict[str, float]:
     """Return the parts of waves of two colours."""
     wave = np.sin(X[:64, :64] / 4 + Y[:64, :64] / 9)
     spectra = 0.2 + 0.6 * np.array([COLOUR_NM > 580, COLOUR_NM < 500])
@@ -676,12 +673,11 @@ def test_crosstalk_between_colours_is_no_colour_error() -> None:
      {"pattern": "stacked"}],
     ids=str,
 )  # fmt: skip
-def test_neighbours_share_what_the_mosaic_collects(colour: dict[str, Any]) -> None:
+def test_neighbours_share_what_the_mosaic_collects(colour: dict) -> None:
     """Of uniform light, channel by channel."""
     layout = Layout.unbinned(
         Pixel(technology="4t-bsi", pitch_um=2.0, colour=colour | {"quantum_efficiencies": FILTERS})
     )
-    assert layout is not None
     around = neighbours(layout)
     np.testing.assert_allclose(around.sum(axis=1), 1, rtol=1e-12)
     shares = np.random.default_rng(1).uniform(0, 1, (3, 5, 5))

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import colour
 import numpy as np
@@ -62,7 +61,7 @@ PITCH_MM = 0.005
 NYQUIST = 0.5 / PITCH_MM
 BARS = np.broadcast_to(np.tile([1.0, -1.0], 16), (32, 32))
 FIELD = SpectralImage([550.0], 10.0, 2.0, data=np.ones((16, 16, 1)), header={"diffraction": False})
-SHEET: dict[str, Any] = {
+SHEET = {
     "technology": "none",
     "pitch_um": 4.0,
     "full_well_e": 2e4,

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +46,7 @@ from pixsim.viewer.settings_file import run_settings
 
 NM = np.arange(362.5, 830.0, 5.0)
 CAMERA = Camera(die_mm=0.1)
-QUIET: dict[str, Any] = {
+QUIET = {
     "technology": "4t-bsi",
     "pitch_um": 4.0,
     "stack": {"enabled": False},
@@ -91,7 +90,7 @@ def patch(number: int, lamp: str = "D65") -> SpectralImage:
     return scene(patch_reflectance(NM)[[number]], np.ones((1, 32, 32)), lamp)
 
 
-def sensor(colour: dict[str, Any] | None, **fields: Any) -> Pixel:
+def sensor(colour: dict | None, **fields) -> Pixel:
     if colour is not None:
         colour = {"quantum_efficiencies": LUTHER} | colour
     return Pixel(**QUIET | {"colour": colour} | fields)
@@ -102,7 +101,7 @@ def chain_of(
     pixel: Pixel,
     exposure: Exposure = AUTOMATIC,
     display: Display = DISPLAY,
-    **settings: Any,
+    **settings,
 ) -> ImagingChain:
     return imaging_chain(image, CAMERA, pixel, exposure, display, **settings)
 
@@ -120,7 +119,7 @@ def lab(light: np.ndarray) -> np.ndarray:
 
 
 def colour_error(
-    image: SpectralImage, pixel: Pixel, develop: dict[str, Any], display: Display = PIXELS
+    image: SpectralImage, pixel: Pixel, develop: dict, display: Display = PIXELS
 ) -> float:
     """Return the largest ΔE of light before its codes, on a display as bright as its ideal."""
     chain = chain_of(
@@ -148,7 +147,7 @@ def colour_error(
     ],
 )
 def test_luther_camera_has_no_colour_error(
-    lamp: str, pattern: str, develop: dict[str, Any], adaptation: str
+    lamp: str, pattern: str, develop: dict, adaptation: str
 ) -> None:
     """ΔE below 1e-3 at every pixel, the border included; curves at 1 nm are off by up to 6e-4."""
     pixel = sensor({"pattern": pattern})
@@ -170,7 +169,7 @@ def test_luther_camera_has_no_colour_error(
     ids=str,
 )
 def test_smallest_frames_have_right_colours(
-    colour: dict[str, Any], pitch_um: float, shape: tuple[int, int]
+    colour: dict, pitch_um: float, shape: tuple[int, int]
 ) -> None:
     pixel = sensor(colour, pitch_um=pitch_um)
     assert noiseless(chain_of(patch(13), pixel, display=PIXELS)).dn.shape == shape
@@ -240,7 +239,6 @@ def test_facts_of_a_colour_sensor_are_those_of_its_matrix() -> None:
     """White electrons in a time, noise gains and metamerism of the fit, dots of a pixel."""
     chain = chain_of(patch(18, "A"), sensor({}))
     chart = chain.colour_chart
-    assert chart is not None
     facts = chain.development.colour_facts(0.5)
     matrix = chart.fit_matrix("least_delta_e")
     errors = colour_matrix.colour_errors(matrix, chart.responses, chart.xyz, chart.white_xyz)
@@ -269,7 +267,7 @@ def test_facts_of_a_colour_sensor_are_those_of_its_matrix() -> None:
     ids=str,
 )
 def test_equal_channels_give_the_monochrome_picture(
-    monkeypatch: pytest.MonkeyPatch, pattern: str, display: dict[str, Any]
+    monkeypatch: pytest.MonkeyPatch, pattern: str, display: dict
 ) -> None:
     """Of detail for stacked channels, of a flat field for a mosaic, without noise."""
     monkeypatch.setattr(develop_module.ColourChart, "matrix", lambda *_: np.eye(3))
@@ -295,7 +293,7 @@ def test_equal_channels_give_the_monochrome_picture(
 # --- noise
 
 
-FIXED: dict[str, Any] = {
+FIXED = {
     "prnu": 0.02,
     "dsnu": 0.3,
     "dark_current_e_per_s": 2e4,
@@ -318,7 +316,7 @@ SHARP = {"sharpen_amount": 1.5, "sharpen_radius_px": 0.8}
         ("quad_rggb", 187, {"remosaic": True, "demosaic": "malvar2004", **SHARP}),
     ],
 )
-def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict[str, Any]) -> None:
+def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict) -> None:
     """Of all linear steps, against frames of new sensors: each element within 2 % of the geometric
     mean of its variances.
 
@@ -392,7 +390,6 @@ def test_burst_that_is_full_in_part_is_neutral() -> None:
     shot noise of the brighter of the two.
     """
     chain, frame = grey_burst(0.9)
-    assert frame.layout is not None
     is_green = frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G")
     np.testing.assert_array_equal(frame.saturated, is_green)
     assert frame.estimate_e.max() < 0.99 * chain.readout.saturation_e
@@ -424,7 +421,7 @@ GREY_CAMERA = Camera(die_mm=1e-3 * SIDE * SAMPLE_UM, focal_length_mm=0.4)
 GREY_NM = np.arange(420.0, 700.0, 40.0)
 SHORT_S = 1e-3
 STEP_DISPLAY = Display(dots=SIDE, samples_per_deg=23.0)
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 2.0,
     "full_well_e": 20000,
     "read_noise_e": 6.0,
@@ -450,11 +447,11 @@ def detailed() -> np.ndarray:
 
 
 def chain_of_steps(
-    develop: dict[str, Any],
+    develop: dict,
     colour: str = "",
     picture: np.ndarray | float | None = None,
     time_s: float = SHORT_S,
-    **fields: Any,
+    **fields,
 ) -> ImagingChain:
     """Return the chain of grey light of an equal spectrum, 1 for the white of 1000 cd/m²."""
     factor = float(irradiance_factor(GREY_CAMERA.f_number, 0.0, GREY_CAMERA.magnification))
@@ -504,7 +501,7 @@ def smooth(plane: np.ndarray, strength: float) -> np.ndarray:
 @pytest.mark.parametrize("colour", ["", "rggb", "stacked"])
 @pytest.mark.parametrize("denoise", ["wiener_bound", "nlm", "wavelet", smooth])
 def test_denoised_frames_are_nearer_to_the_expected_light(
-    colour: str, denoise: str | Callable[..., Any]
+    colour: str, denoise: str | Callable
 ) -> None:
     """And as bright in the mean, whose σ is 0.1 %: the transforms lose nothing."""
     chain = chain_of_steps({"denoise": denoise}, colour, picture=np.clip(detailed(), 0.35, 0.75))
@@ -525,7 +522,7 @@ def test_denoised_frames_are_nearer_to_the_expected_light(
     ],
     ids=str,
 )
-def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str, Any]) -> None:
+def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict) -> None:
     """∫ SN/(S + N), over sensors with fixed patterns, as a correction leaves them.
 
     Within 5 %: 16 sensors of 128² pixels give it to 1 % (1 of 10 000 seeds fails); the closed
@@ -654,7 +651,7 @@ def test_closed_forms(claim: Claim) -> None:
 @pytest.mark.parametrize("curve", ["gamma", "srgb", "reinhard"])
 @pytest.mark.parametrize("colour", ["", "stacked"])
 @pytest.mark.filterwarnings("ignore:.*brighter than display white")
-def test_ideal_picture_has_the_tone_curve_and_no_sharpening(curve: Any, colour: str) -> None:
+def test_ideal_picture_has_the_tone_curve_and_no_sharpening(curve, colour: str) -> None:
     """Without noise a uniform scene is displayed as the ideal one, up to twice white; in colour to
     two codes.
     """
@@ -718,7 +715,7 @@ def test_covariance_behind_a_filter_is_that_of_the_matrices() -> None:
     ],
 )
 def test_covariance_behind_the_bound_is_that_of_frames(
-    colour: str, develop: dict[str, Any], gate: float
+    colour: str, develop: dict, gate: float
 ) -> None:
     """40 frames of uniform light through the filter of a picture, which passes noise as it passes
     a picture: each element is known to 0.25 %.
@@ -775,7 +772,7 @@ def test_noise_aware_matrix_uses_the_noise_that_linear_filters_leave() -> None:
 # --- files
 
 
-def test_tone_curve_lies_next_to_its_file(tmp_path: Any) -> None:
+def test_tone_curve_lies_next_to_its_file(tmp_path) -> None:
     (tmp_path / "curve.csv").write_text("light,value\n0,0\n0.2,0.5\n1,1\n")
     (tmp_path / "own.toml").write_text('[develop]\ntone_curve = "curve.csv"\n')
     assert run_settings(tmp_path / "own.toml", {}).develop.tone_curve == (
@@ -789,7 +786,6 @@ def test_pixels_within_a_cell_of_a_saturated_one_are_neutral() -> None:
     """A cell of 2 × 2 reaches one pixel to each side."""
     colour = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6}
     layout = derive(Pixel(technology="4t-bsi", pitch_um=3.0, colour=colour)).layout
-    assert layout is not None
     planes = [np.full((9, 9), level) for level in (1.0, 2.0, 3.0)]
     is_saturated = np.zeros((9, 9), bool)
     is_saturated[4, 4] = True

@@ -6,7 +6,6 @@ import math
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -302,7 +301,7 @@ def mosaic_of(picture: np.ndarray, cell: tuple[str, ...]) -> np.ndarray:
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("phase", BAYER)
 @pytest.mark.parametrize("case", ["random_odd", "zone_even"])
-def test_demosaic_equals_colour_demosaicing(case: str, phase: str, method: Any) -> None:
+def test_demosaic_equals_colour_demosaicing(case: str, phase: str, method) -> None:
     """To rounding, up to the edges: no direction of Menon's depends on less than 9e-5."""
     np.testing.assert_allclose(
         demosaic(
@@ -339,7 +338,7 @@ def test_interpolation_keeps_samples_and_stays_within_them(name: str) -> None:
 
 
 @pytest.mark.parametrize("phase", BAYER)
-def test_interpolation_of_a_bayer_pattern_is_bilinear(phase: Any) -> None:
+def test_interpolation_of_a_bayer_pattern_is_bilinear(phase) -> None:
     mosaic = np.random.default_rng(2).random((9, 12))
     np.testing.assert_array_equal(
         demosaic(mosaic, phase, "interpolate"), demosaic(mosaic, phase, "bilinear")
@@ -348,7 +347,7 @@ def test_interpolation_of_a_bayer_pattern_is_bilinear(phase: Any) -> None:
 
 @REPEATABLE
 @given(seed=st.integers(0, 99), method=st.sampled_from(METHODS), factor=st.floats(1e-3, 1e3))
-def test_demosaic_turns_and_grows_with_the_picture(seed: int, method: Any, factor: float) -> None:
+def test_demosaic_turns_and_grows_with_the_picture(seed: int, method, factor: float) -> None:
     """Mirrored and transposed pictures, and brighter ones: no phase or axis is swapped."""
     picture = np.random.default_rng(seed).random((16, 27, 3))
     cell = BAYER["rggb"]
@@ -367,7 +366,7 @@ LONG_PX = 45
 
 
 def on_dots(
-    mosaic: np.ndarray, cell: tuple[str, ...], method: Any, dot_px: float | None, interpolation: str
+    mosaic: np.ndarray, cell: tuple[str, ...], method, dot_px: float | None, interpolation: str
 ) -> np.ndarray:
     """Return the channels of a mosaic on dots at all offsets, or at the pixels away from edges."""
     planes = np.moveaxis(demosaic(mosaic, cell, method), -1, 0)
@@ -395,7 +394,7 @@ def on_dots(
     ],
 )
 def test_covariances_are_those_of_the_linear_map(
-    cell: tuple[str, ...], method: Any, dot_px: float | None, interpolation: Any
+    cell: tuple[str, ...], method, dot_px: float | None, interpolation
 ) -> None:
     """One pixel, one column and one row in all dots, squared and summed over the unit cell.
 

@@ -4,7 +4,6 @@ white of a scene that states none, and dark pixels that are clipped at 0 DN; and
 
 import math
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,7 +39,7 @@ CAMERA = Camera(die_mm=1e-3 * DIE_UM)
 REPEATABLE = settings(derandomize=True, database=None, deadline=None, max_examples=15)
 
 
-def light(picture: np.ndarray, camera: Camera = CAMERA, **header: Any) -> SpectralImage:
+def light(picture: np.ndarray, camera: Camera = CAMERA, **header) -> SpectralImage:
     """Return light of D65 from a chart of 1000 cd/m² at 1: E = L τ π/(1 + 4N²(1 + m)²)."""
     unit = SpectralImage(NM, 10.0, 1.0, factors=(d65(NM), np.ones((1, 1, 1))))
     f_number = camera.f_number * (1 + camera.magnification)
@@ -331,7 +330,7 @@ def test_the_nearest_code_is_displayed(gamma: float, bits: int) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_only_whole_arrays_are_overwritten(dtype: Any) -> None:
+def test_only_whole_arrays_are_overwritten(dtype) -> None:
     luminance = np.random.default_rng(3).uniform(-0.1, 1.1, (600, 500)).astype(dtype)
     expected = displays.shown_luminance(luminance, Display())
     read_only = luminance.copy()
@@ -368,7 +367,7 @@ PERFECT = {
 
 
 class NoShotNoise(np.random.Generator):
-    def poisson(self, lam: Any, size: Any = None) -> np.ndarray:
+    def poisson(self, lam, size=None) -> np.ndarray:
         return np.asarray(lam, float)
 
 
@@ -418,7 +417,7 @@ LIGHTS = {
     "2856 K": WIDE_NM**-5.0 / np.expm1(1.4388e7 / WIDE_NM / 2856),
     "LED of 850 nm": 30 * np.exp(-(((WIDE_NM - 850) / 20) ** 2)) + d65(WIDE_NM) / 100,
 }
-SILICON: dict[str, Any] = {"technology": "4t-bsi", "pitch_um": 5.0}
+SILICON = {"technology": "4t-bsi", "pitch_um": 5.0}
 PIXELS = {
     "paper": Pixel(pitch_um=8.0),
     "silicon": Pixel(**SILICON),
@@ -456,7 +455,7 @@ def test_at_most_one_per_cent_is_beyond_an_estimated_white(light: str, sensor: s
     assert shares[0] <= 0.01 < shares[1]
 
 
-def test_run_and_evaluate_take_one_white(tmp_path: Any) -> None:
+def test_run_and_evaluate_take_one_white(tmp_path) -> None:
     write_npz(tmp_path / "light.npz", picture(LIGHTS["2856 K"]))
     with pytest.warns(UserWarning, match="does not define its white"):
         score = evaluate(
@@ -524,7 +523,7 @@ INFRARED_PIXEL = Pixel(
 )
 
 
-def infrared(scale: float = 1.0, **header: Any) -> SpectralImage:
+def infrared(scale: float = 1.0, **header) -> SpectralImage:
     """Return detail in light around 940 nm."""
     y, x = np.mgrid[:64, :64]
     detail = 0.5 + 0.4 * np.sin(x / 4) * np.cos(y / 6)
@@ -564,7 +563,7 @@ def test_white_of_infrared_light_is_a_radiance() -> None:
 
 SHAPE = 4, 100_000  # most of it columns, so that their offsets average too
 TIME_S = 0.03
-SHEET: dict[str, Any] = {
+SHEET = {
     "technology": "none",
     "pitch_um": 3.75,
     "full_well_e": 10500,
@@ -577,7 +576,7 @@ SHEET: dict[str, Any] = {
 }
 
 
-def readout_of(fields: dict[str, Any]) -> Readout:
+def readout_of(fields: dict) -> Readout:
     return Readout.of(derive(Pixel(**SHEET | fields)))
 
 
@@ -600,7 +599,7 @@ def readout_of(fields: dict[str, Any]) -> Readout:
     ids=["read noise", "offsets", "DSNU", "single electrons", "much dark charge", "hot pixels"],
 )
 @pytest.mark.parametrize("subexposures", [1, 3])
-def test_dark_clip_is_that_of_frames(fields: dict[str, Any], subexposures: int) -> None:
+def test_dark_clip_is_that_of_frames(fields: dict, subexposures: int) -> None:
     """Codes at 0 and their mean, within 5 σ of columns (1 of 10⁵ seeds fails one): about 2 %.
     Rounding alone moves the mean by nothing above σ of 0.8 DN.
     """
@@ -630,7 +629,7 @@ def test_dark_clip_is_that_of_frames(fields: dict[str, Any], subexposures: int) 
     ],
     ids=["no noise", "DSNU", "noise 30 σ above 0", "nothing varies"],
 )
-def test_nothing_is_clipped_without_noise_below_0(fields: dict[str, Any]) -> None:
+def test_nothing_is_clipped_without_noise_below_0(fields: dict) -> None:
     clip = dark_clip(readout_of(fields), TIME_S, 1e4)
     assert (clip["too_bright_e"], clips_dark(clip)) == (pytest.approx(0.0, abs=1e-9), False)
 
@@ -638,7 +637,7 @@ def test_nothing_is_clipped_without_noise_below_0(fields: dict[str, Any]) -> Non
 @pytest.mark.parametrize(
     "fields", [{"offset_fpn": 0.002}, {"technology": "4t-bsi", "pitch_um": 1.0}]
 )
-def test_least_black_level_avoids_clipping(fields: dict[str, Any]) -> None:
+def test_least_black_level_avoids_clipping(fields: dict) -> None:
     """φ(6) - 6Φ(-6) = 1.6e-10 of the spread is left; a third of that level clips."""
     clip = dark_clip(readout_of(fields), TIME_S, 1e4)
     least_dn = clip["least_black_level_dn"]

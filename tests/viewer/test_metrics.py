@@ -9,7 +9,6 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import cache
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 import pytest
@@ -75,15 +74,11 @@ PIXEL = Pixel(
     fill_factor=1.0,
 )
 DISPLAY = Display(white_cd_per_m2=WHITE_CD_PER_M2, dots=64)
-FRAME: dict[str, Any] = {
-    "camera": CAMERA,
-    "exposure": Exposure(integration_s=TIME_S),
-    "display": DISPLAY,
-}
+FRAME = {"camera": CAMERA, "exposure": Exposure(integration_s=TIME_S), "display": DISPLAY}
 ONE_REGISTRATION = {"detectability": {"registrations": 1}}
 
 
-def light(picture: np.ndarray | float, cell_um: float = CELL_UM, **header: Any) -> SpectralImage:
+def light(picture: np.ndarray | float, cell_um: float = CELL_UM, **header) -> SpectralImage:
     """Return light of one narrow band, without diffraction."""
     side = round(400 / cell_um)
     return SpectralImage(
@@ -98,12 +93,12 @@ def light(picture: np.ndarray | float, cell_um: float = CELL_UM, **header: Any) 
 UNIFORM = light(1.0)
 
 
-def with_disc(contrast: float, radius_px: float = 20.0, **header: Any) -> SpectralImage:
+def with_disc(contrast: float, radius_px: float = 20.0, **header) -> SpectralImage:
     y, x = np.mgrid[:200, :200] - 99.5
     return light(1.0 + contrast * (np.hypot(y, x) < 2 * radius_px), **header)
 
 
-def request(name: str, repeats: int = 1, **options: Any) -> MetricRequest:
+def request(name: str, repeats: int = 1, **options) -> MetricRequest:
     return MetricRequest(metrics_named([name]), MetricOptions(**options), repeats)
 
 
@@ -112,7 +107,7 @@ def chain_of(
     pixel: Pixel = PIXEL,
     background: SpectralImage | None = None,
     metrics: MetricRequest | None = None,
-    **settings: Any,
+    **settings,
 ) -> ImagingChain:
     metrics = metrics or request("information")
     with warnings.catch_warnings(action="ignore"):  # of an ADC that ends below the well
@@ -125,7 +120,7 @@ def numbers_of(chain: ImagingChain, name: str) -> tuple[float, ...]:
     return METRICS[name].compute(FrameUnderTest.of(chain, chain.capture("a")))
 
 
-def evaluated(image: SpectralImage, name: str, **settings: Any) -> dict[str, float]:
+def evaluated(image: SpectralImage, name: str, **settings) -> dict[str, float]:
     """Return the columns of one metric of a frame."""
     settings = FRAME | {"pixel": PIXEL} | settings
     with warnings.catch_warnings(action="ignore"):
@@ -352,7 +347,7 @@ def test_blurred_target_of_a_stated_contrast_is_no_darker_than_black(
 
 SMALL_WELL = {"full_well_e": 2000.0, "read_noise_e": 3.0}
 ADC_AT_END_E_PER_DN = 2000.0 / (2**12 - 1 - 64)
-ENDS: dict[str, dict[str, Any]] = {
+ENDS: dict[str, dict] = {
     "well": {"gain_e_per_dn": 1.3 * ADC_AT_END_E_PER_DN},
     "ADC": {"gain_e_per_dn": ADC_AT_END_E_PER_DN, "full_well_e": 4000.0},
     "well and ADC": {},
@@ -384,9 +379,7 @@ SOFT_WELL = {
     ids=["0", "0, few bits", "0, burst", "ADC", "ADC of a high black level", "burst at the well", "few bits", "noisy",
          "soft well", "burst with PRNU"],
 )  # fmt: skip
-def test_codes_at_their_ends_have_the_moments_of_frames(
-    fields: dict[str, Any], subexposures: int
-) -> None:
+def test_codes_at_their_ends_have_the_moments_of_frames(fields: dict, subexposures: int) -> None:
     """Up to 8 times the noise from code 0, or from 90 to 110 % of the upper end.
 
     Means within 4 standard errors of 90 000 pixels (6e-5 of seeds fail) and 0.5 % of the noise,
@@ -487,7 +480,7 @@ def test_information_ends_with_the_well_and_not_before() -> None:
 
 
 LINES = {"column_fpn": 1.5e-3, "row_noise_e": 30.0, "prnu": 0.01}  # 30 e- each
-NOISY: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
+NOISY: dict[str, tuple[dict, dict, dict]] = {
     "sharpened lines": (LINES, {}, {"develop": Develop(sharpen_amount=1.0)}),
     "cubic": ({"pitch_um": 11.0}, {"interpolation": "cubic"}, {}),
     "pixels": ({"row_noise_e": 30.0}, {"raster": "one_to_one"}, {}),
@@ -635,7 +628,7 @@ def test_mtf50_is_where_lens_pixel_and_motion_leave_a_half(um_per_s: tuple[float
 
 
 @pytest.mark.parametrize("correction", [None, Correction(flat_frames=10)])
-def test_visual_noise_has_no_shading_that_is_corrected(correction: Any) -> None:
+def test_visual_noise_has_no_shading_that_is_corrected(correction) -> None:
     """0.031; with the shading of openings that are not shifted it would be 4.4."""
     stack = {"height_um": 6.0, "index": 1.5, "microlens": "none", "shift": "none"}
     fields = {"stack": stack, "fill_factor": 0.5, "bits": 16, "read_noise_e": 0, "full_well_e": 1e9}
@@ -687,11 +680,12 @@ CHANNELS = {
     for name, low in {"B": 400, "G": 500, "R": 600}.items()
 }
 VISIBLE = range(400, 701, 20)
+OF_COLOUR = "delta_e", "detectability", "flip", "contrast_detection_probability"
 # Pattern, bands, metrics that are defined, and the reason why others are not.
 SITUATIONS: dict[str, tuple[str, range, set[str], str]] = {
     "grey": ("", VISIBLE, set(METRICS), ""),
-    "mosaic": ("rggb", VISIBLE, {"delta_e", "detectability", "flip"}, "without colour filters"),
-    "stacked": ("stacked", VISIBLE, {"delta_e", "detectability", "flip"}, "without colour filters"),
+    "mosaic": ("rggb", VISIBLE, {*OF_COLOUR}, "without colour filters"),
+    "stacked": ("stacked", VISIBLE, {*OF_COLOUR}, "without colour filters"),
     "no target": ("", VISIBLE, set(METRICS) - {"detectability", "npwe"}, "without its target"),
     "infrared": ("", range(840, 901, 20), set(), "both the sensor and the eye"),
 }
@@ -732,7 +726,7 @@ def test_every_metric_has_a_number_or_says_what_it_needs(situation: str) -> None
     ],
     ids=str,
 )
-def test_undefined_metric_is_nan_beside_others(name: str, settings: dict[str, Any]) -> None:
+def test_undefined_metric_is_nan_beside_others(name: str, settings: dict) -> None:
     """And alone it is an error, of the same reason."""
     if name in ("npwe", "detectability"):
         settings = settings | {"without": UNIFORM}
@@ -798,7 +792,7 @@ def test_detectability_is_that_of_the_dense_covariance(
     for slope in slopes.reshape(2, -1):
         covariance += lines * np.outer(slope, slope) / 2
     delta = difference.ravel()
-    options: dict[str, Any] = {"offset_slopes": slopes} if has_slopes else {}
+    options: dict = {"offset_slopes": slopes} if has_slopes else {}
     options |= {"column_variance": column_variance, "row_variance": row_variance}
     assert kernels.detectability(difference, variance, **options) == pytest.approx(
         math.sqrt(delta @ np.linalg.solve(covariance, delta)), rel=1e-9
@@ -941,7 +935,7 @@ def test_radial_spectrum_is_that_of_random_light_on_any_film() -> None:
     (0, ((109.1413, 0.00038, 3.4244), (93.5971, 0.00367, 2.1677)), 202.7384),
     (2, ((7.0328, 4e-6, 4.2582), (40.691, 0.10391, 1.6487)), 40.691),
 ])  # fmt: skip
-def test_visual_noise_of_a_coloured_wave(channel: int, terms: Any, scale: float) -> None:
+def test_visual_noise_of_a_coloured_wave(channel: int, terms, scale: float) -> None:
     """X or Z of the adapted observer alone is C₁ or C₂ alone: its filter times the change of L*, u*
     and v* to first order.
     """
@@ -990,7 +984,7 @@ FREQUENCY = np.linspace(0.0, 20.0, 2001)
 FALLING = 1 - FREQUENCY / 30
 EDGE_CY_PER_PX = np.linspace(0.0, 1.0, 21)
 GREY_NOISE = 0.2 + np.random.default_rng(44).normal(0.0, 0.01, (32, 48))
-NOISY_DOT: dict[str, Any] = {"reflectance": 0.9, "prnu": 0.02, "pixels_per_dot": 2.5}
+NOISY_DOT = {"reflectance": 0.9, "prnu": 0.02, "pixels_per_dot": 2.5}
 KERNEL_CLAIMS = [
     *(
         Claim(
@@ -1074,4 +1068,4 @@ def test_rounding_is_noise_from_half_a_code_of_noise_in_each_exposure(
     variance_e2 = exposures * (sigma_dn**2 + 1 / 12) / readout.dn_per_e**2
     refusal = pytest.raises(NoNumberError) if is_refused else nullcontext()
     with refusal:
-        _check_rounding(readout, variance_e2)
+        _check_rounding(METRICS["detectability"], readout, variance_e2)

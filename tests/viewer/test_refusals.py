@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,10 +43,10 @@ PLANE = np.full((24, 24), 10.0)
 NM, CURVES = camera_sensitivities("Canon_EOS_R5")
 VIEW = {"white_xyz": D65, "samples_per_deg": 23.0}
 GREY = np.full((4, 6), 0.5)
-SHEET: dict[str, Any] = {"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"enabled": False}}
+SHEET = {"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"enabled": False}}
 
 
-def light(nm: Any = (450.0, 550.0, 620.0), level: float = 1e-3, **header: Any) -> SpectralImage:
+def light(nm=(450.0, 550.0, 620.0), level: float = 1e-3, **header) -> SpectralImage:
     """Return uniform light of few bands."""
     header = {"diffraction": False, **header}
     return SpectralImage(
@@ -55,12 +54,12 @@ def light(nm: Any = (450.0, 550.0, 620.0), level: float = 1e-3, **header: Any) -
     )
 
 
-def evaluated(image: SpectralImage | None = None, **settings: Any) -> object:
+def evaluated(image: SpectralImage | None = None, **settings) -> object:
     arguments = {"camera": CAMERA, "pixel": Pixel(**SHEET), "display": DISPLAY} | settings
     return evaluate(light() if image is None else image, **arguments)
 
 
-def coloured(pitch_um: float = 4.0, image: SpectralImage | None = None, **fields: Any) -> object:
+def coloured(pitch_um: float = 4.0, image: SpectralImage | None = None, **fields) -> object:
     """Return the matrix of a colour sensor."""
     colour = {"sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
     develop = fields.pop("develop", Develop())
@@ -93,7 +92,7 @@ def sized(rows: int, columns: int, pitch_um: float, dots: int = 512) -> object:
     )
 
 
-def overlapping() -> dict[str, Any]:
+def overlapping() -> dict:
     """Return filters that overlap almost wholly."""
     nm = np.arange(380.0, 781.0, 10.0)
     bells = {k: 0.5 * np.exp(-(((nm - centre) / 150) ** 2)) for k, centre in
@@ -389,8 +388,8 @@ def test_refusals_name_the_argument_and_the_cause(name: str) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "a", None, True, np.ones(3)], ids=str)
-def test_metric_of_a_user_is_one_finite_number(value: Any) -> None:
-    def wrong(score: Any) -> Any:
+def test_metric_of_a_user_is_one_finite_number(value) -> None:
+    def wrong(score):
         return value
 
     with pytest.raises(PixsimError, match="one finite number"):
@@ -413,14 +412,14 @@ def test_metric_of_a_user_is_one_finite_number(value: Any) -> None:
     ],
 )
 def test_missing_package_is_named(
-    monkeypatch: pytest.MonkeyPatch, module: Any, call: Callable[[], object], words: str
+    monkeypatch: pytest.MonkeyPatch, module, call: Callable[[], object], words: str
 ) -> None:
     monkeypatch.setattr(module, "find_spec", lambda name: None)
     with pytest.raises(PixsimError, match=words):
         call()
 
 
-def test_files_name_no_function(tmp_path: Any) -> None:
+def test_files_name_no_function(tmp_path) -> None:
     """Code comes from Python only."""
     (tmp_path / "own.toml").write_text('[develop]\ndenoise = "shutil:rmtree"\n')
     with pytest.raises(PixsimError, match=r"own.toml.*got .shutil:rmtree.*in Python only"):

@@ -4,7 +4,6 @@ tests/references/test_scielab_judge.py.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import colour  # noqa: F401  # here, since its import warns
 import numpy as np
@@ -73,7 +72,7 @@ def test_opponent_filters_are_band_pass_and_low_pass() -> None:
 
 @pytest.mark.parametrize("filters", FILTERS)
 def test_maps_in_strips_are_the_difference_of_whole_pictures(
-    monkeypatch: pytest.MonkeyPatch, filters: Any
+    monkeypatch: pytest.MonkeyPatch, filters
 ) -> None:
     """Dark and negative light too, in strips of one row; to rounding."""
     first, second = np.random.default_rng(12).uniform(0, 1, (2, 20, 13)) ** 4
@@ -110,9 +109,7 @@ REPEATABLE = settings(derandomize=True, database=None, deadline=None, max_exampl
     filters=st.sampled_from(FILTERS),
     formula=st.sampled_from(FORMULAS),
 )
-def test_delta_e_does_not_depend_on_the_unit(
-    seed: int, exponent: int, filters: Any, formula: Any
-) -> None:
+def test_delta_e_does_not_depend_on_the_unit(seed: int, exponent: int, filters, formula) -> None:
     """Bit for bit, from the least to the largest numbers."""
     pair = picture((5, 7), seed), picture((5, 7), seed + 1)
     white = np.array([95.0, 100.0, 109.0])
@@ -124,7 +121,7 @@ def test_delta_e_does_not_depend_on_the_unit(
 
 @REPEATABLE
 @given(seed=st.integers(0, 99), filters=st.sampled_from(FILTERS), turns=st.integers(1, 3))
-def test_maps_turn_with_the_pictures(seed: int, filters: Any, turns: int) -> None:
+def test_maps_turn_with_the_pictures(seed: int, filters, turns: int) -> None:
     pair = picture((20, 33), seed), picture((20, 33), seed + 1)
     upright = scielab.delta_e_map(*pair, **VIEW, filters=filters)
     turned = scielab.delta_e_map(*(np.rot90(xyz, turns) for xyz in pair), **VIEW, filters=filters)
@@ -163,7 +160,7 @@ def test_threads_change_no_bit(count: int, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("formula", FORMULAS)
-def test_cielab_is_continuous_at_its_threshold(formula: Any) -> None:
+def test_cielab_is_continuous_at_its_threshold(formula) -> None:
     """Equal steps of luminance, 5e-8 of the threshold, make equal steps of L* across it."""
     levels = 216 / 24389 * (1 + np.linspace(-1e-6, 1e-6, 41))
     lab = scielab.xyz_to_lab(levels[:, None] * D65, D65)
@@ -207,7 +204,7 @@ def shown_pair(kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("filters", ["published", "zhang1996"])
 @pytest.mark.parametrize("kind", ["dark", "ramp", "bars"])
-def test_float32_maps_of_grey_are_within_the_bound(kind: str, filters: Any) -> None:
+def test_float32_maps_of_grey_are_within_the_bound(kind: str, filters) -> None:
     """Also of dark pictures, whose ΔE is linear in the light_of."""
     reference, image = shown_pair(kind)
     view = VIEW | {"filters": filters}
@@ -270,7 +267,7 @@ BAYER = {
         "peak_quantum_efficiency": 0.65,
     },
 }
-FLOAT_CHAINS: dict[str, tuple[dict[str, Any], Develop]] = {
+FLOAT_CHAINS: dict[str, tuple[dict, Develop]] = {
     "grey": ({}, DEVELOP),
     "stack": (
         {"technology": "4t-fsi", "stack": {"height_um": 9.0, "index": 1.5, "microlens": "square"}},
@@ -282,7 +279,7 @@ CODE_DELTA_E = 1.0  # of a dot on the border of two codes; the largest error mea
 OTHER_CODES = 1e-3  # of the dots: of 256 borders, 6e-8 apart, 3e-5 of uniform light_of
 
 
-def chains_of(name: str, kind: str = "ramp") -> list[Any]:
+def chains_of(name: str, kind: str = "ramp") -> list:
     """Return the chains_of of a sensor in float64 and in float32."""
     fields, develop = FLOAT_CHAINS[name]
     pixel = Pixel(pitch_um=15.0, infrared_cut_nm=700, **fields)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -51,7 +50,7 @@ DISPLAY = Display(dots=96)
 COLOUR = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 
 
-def chart(count: int, **header: Any) -> SpectralImage:
+def chart(count: int, **header) -> SpectralImage:
     """Return the CSF chart under D65, at 1000 cd/m² behind f/4 or so."""
     place = (np.arange(count, dtype=np.float32) + 0.5) / count
     factors = 6e-6 * d65(NM), csf_value(place, place[:, None]).astype(np.float32)[None]
@@ -78,7 +77,6 @@ def test_evaluate_shares_light_and_sees_changes_of_it(monkeypatch: pytest.Monkey
     assert make_chain.call_count == 1
     assert again.mean_delta_e == first.mean_delta_e != other.mean_delta_e
     assert again.ideal.max() > 0.5
-    assert image.factors is not None
     image.factors[1][:] = image.factors[1][:, ::-1]
     assert evaluating.evaluate(image, **call, seed=1).mean_delta_e != first.mean_delta_e
     assert make_chain.call_count == 2
@@ -136,7 +134,7 @@ def test_percentiles_are_those_of_numpy(values: list[float], count: int) -> None
 
 @pytest.mark.parametrize("formula", ["1976", "2000"])
 @pytest.mark.parametrize("colour", [None, COLOUR])
-def test_score_is_the_difference_of_two_cielab_pictures(formula: Any, colour: Any) -> None:
+def test_score_is_the_difference_of_two_cielab_pictures(formula, colour) -> None:
     """Through XYZ in three channels; without shortcuts the score is the same to rounding."""
     display = DISPLAY.model_copy(update={"delta_e": formula})
     call = {"camera": CAMERA, "pixel": Pixel(pitch_um=28.0, colour=colour), "display": display}
@@ -154,7 +152,7 @@ def test_score_is_the_difference_of_two_cielab_pictures(formula: Any, colour: An
     ("colour", "fields"),
     [(None, {}), (None, {"raster": "one_to_one", "filters": "zhang1996"}), (COLOUR, {"bits": 3})],
 )
-def test_pictures_of_a_score_have_its_difference_bit_for_bit(colour: Any, fields: Any) -> None:
+def test_pictures_of_a_score_have_its_difference_bit_for_bit(colour, fields) -> None:
     """Codes of codes are the same."""
     score = evaluating.evaluate(
         chart(96),
@@ -244,7 +242,7 @@ BELOW = [(0.02, 0.02), (0.6, None), (math.nan, None), (None, 0.02), (0.0, 0.0)]
 
 @pytest.mark.parametrize("film", [*ABOVE, *BELOW])
 @pytest.mark.parametrize("noise", [*ABOVE, *BELOW])
-def test_light_has_converged_if_no_error_is_above_its_limit(film: Any, noise: Any) -> None:
+def test_light_has_converged_if_no_error_is_above_its_limit(film, noise) -> None:
     """An unknown error is above any limit; one that is not measured, or has no limit, is not."""
     error, limit = (LightError(*pair) for pair in zip(film, noise, strict=True))
     count = sum(pair in ABOVE for pair in (film, noise))
@@ -258,7 +256,7 @@ def test_largest_error_comes_first(film: float, first: str) -> None:
 
 
 @pytest.mark.parametrize("stated", ["loud", 1.0, [], {}, {"fraction": "a lot", "target": 0.2}])
-def test_header_of_another_program_may_hold_anything(stated: Any) -> None:
+def test_header_of_another_program_may_hold_anything(stated) -> None:
     error, limit = noise_error_and_limit({"render_noise": stated})
     assert (error.noise_delta_e, converged(error, limit)) == (None, True)
 
@@ -286,7 +284,7 @@ def test_header_of_another_program_may_hold_anything(stated: Any) -> None:
     ],
 )
 def test_mean_of_a_run_states_its_error_and_what_reduces_it(
-    noise: Any, film: FilmError | None, mean: str, remedies: list[str]
+    noise, film: FilmError | None, mean: str, remedies: list[str]
 ) -> None:
     header = {"render_noise": noise} if noise else {}
     result = run_result([0.9731], header, film and film.at(5.0))
@@ -300,7 +298,7 @@ def test_mean_of_a_run_states_its_error_and_what_reduces_it(
 
 @pytest.mark.parametrize(("noise", "is_converged"), [(NOISY_LIGHT, False), (QUIET, True)])
 def test_score_of_a_picture_says_whether_its_light_has_converged(
-    noise: dict[str, Any], is_converged: bool
+    noise: dict, is_converged: bool
 ) -> None:
     score = evaluate(chart(96, render_noise=noise), CAMERA, Pixel(pitch_um=28.0), display=DISPLAY)
     assert ("not converged" not in repr(score)) == is_converged

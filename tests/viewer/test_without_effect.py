@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -69,7 +68,7 @@ LIGHT = SpectralImage(
     ),
     header={"luminance_cd_per_m2": 1.5e5},
 )
-BASE: dict[str, Any] = {
+BASE = {
     "camera": {"die_mm": DIE_MM, "focal_length_mm": 0.12},
     "display": {"dots": SIDE},
     "exposure": {"max_integration_s": 10.0},
@@ -86,7 +85,7 @@ def bells(height: float) -> dict[str, list[list[float]]]:
     return {name: np.stack([RANGE_NM, curve], axis=1).tolist() for name, curve in curves.items()}
 
 
-SHEET: dict[str, Any] = {
+SHEET = {
     "pitch_um": 5.0,
     "full_well_e": 8000,
     "read_noise_e": 3.0,
@@ -104,13 +103,13 @@ QUICK_FIT = {"develop": {"matrix": "least_squares"}}  # the default takes a quar
 FAINT = SHEET | {"dark_current_e_per_s": 5.0}  # dark charge does not hide what else there is
 
 
-def of(technology: str, **pixel: Any) -> dict[str, Any]:
+def of(technology: str, **pixel) -> dict:
     return {"pixel": {"technology": technology, "black_level_dn": 60, **pixel}}
 
 
 # Settings, and beginnings of the names of the settings that are moved there. Each setting is moved
 # in a configuration where it may act, and in one where it may not.
-CONFIGURATIONS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+CONFIGURATIONS: dict[str, tuple[dict, tuple[str, ...]]] = {
     "3T": (of("0.35um"), ("",)),
     "4T": (
         of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7),
@@ -138,7 +137,7 @@ CONFIGURATIONS: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
 
 # Every setting of a frame, moved; a tuple has alternatives, of which one is another value in any
 # configuration.
-MOVES: dict[str, Any] = {
+MOVES = {
     "camera.focal_length_mm": 0.15, "camera.f_number": 2.8, "camera.die_mm": 0.08, "camera.die_height_mm": (0.08, 0.2),
     "camera.object_distance_m": 0.02, "camera.transmittance": 0.5,
     "camera.chief_ray_angle": ([[0, 0], [0.07, 15]], [[0, 0, 1], [0.07, 15, 0.5]]),
@@ -200,7 +199,7 @@ MOVES |= {
     for name, number in NUMBERS.items()
     if f"pixel.{name}" not in MOVES
 }
-BESIDE: dict[str, dict[str, Any]] = {
+BESIDE: dict[str, dict] = {
     "lens.veiling_glare_outside": {"lens": {"veiling_glare": 0.2}},
     "pixel.quantum_efficiency_depth_um": {"pixel": {"quantum_efficiency_nm": 525.0}},
     "pixel.hot_pixel_fraction": {"pixel": {"hot_pixel_median": 90.0}},
@@ -237,7 +236,7 @@ BESIDE: dict[str, dict[str, Any]] = {
     "develop.tone_white": {"develop": {"tone_curve": "reinhard"}},
     "correction.defects": {"correction": {"dark_frames": 2}, "pixel": HOT},
 }
-IN_RECORDS: dict[str, Any] = {
+IN_RECORDS = {
     "camera": Camera,
     "lens": LensOptions,
     "pixel": Pixel,
@@ -253,13 +252,13 @@ IN_RECORDS: dict[str, Any] = {
 MAX_CHANGE = 0.01  # of the mean ΔE, by a setting without effect: codes of some pixels
 
 
-def scored(table: dict[str, Any]) -> tuple[Any, frozenset[str]]:
+def scored(table: dict) -> tuple[object, frozenset[str]]:
     """Return the score of a frame of settings, None after an error, and the messages."""
     return scored_text(json.dumps(table))
 
 
 @cache
-def scored_text(text: str) -> tuple[Any, frozenset[str]]:
+def scored_text(text: str) -> tuple[object, frozenset[str]]:
     table = json.loads(text)
     tables = merge(BASE, table)
     with warnings.catch_warnings(record=True) as notes:
@@ -270,7 +269,7 @@ def scored_text(text: str) -> tuple[Any, frozenset[str]]:
                 CameraOptions(**table.get("camera", {})),
                 LensOptions(**tables.get("lens", {})),
             )
-            records: dict[str, Any] = {
+            records: dict = {
                 name: IN_RECORDS[name](**tables.get(name, {}))
                 for name in ("exposure", "motion", "display", "correction", "develop")
             }
@@ -280,7 +279,7 @@ def scored_text(text: str) -> tuple[Any, frozenset[str]]:
     return score, frozenset(str(note.message) for note in notes)
 
 
-def left_out(table: dict[str, Any], path: list[str]) -> dict[str, Any]:
+def left_out(table: dict, path: list[str]) -> dict:
     """Return a table without a setting, and without the tables that are empty then."""
     name, *inner = path
     table_inside = left_out(table[name], inner) if inner else {}
@@ -289,7 +288,7 @@ def left_out(table: dict[str, Any], path: list[str]) -> dict[str, Any]:
     )
 
 
-def acts(reference: dict[str, Any], name: str, value: Any) -> bool:
+def acts(reference: dict, name: str, value) -> bool:
     """Return whether a setting changes the result, or a new message names it."""
     base, base_messages = scored(reference)
     table = merge(reference, nested(name.split("."), value))
@@ -349,7 +348,7 @@ def test_every_setting_of_a_frame_is_moved() -> None:
     }, "give each setting another value in MOVES"
 
 
-def settings_of(run: Run, **facts: Any) -> UserSettings:
+def settings_of(run: Run, **facts) -> UserSettings:
     imaging = Imaging.of(
         run, camera_with_lens(run.camera.over(Camera()), run.camera, run.lens)
     ).changed(metrics=metrics_of(run))
@@ -365,7 +364,7 @@ def without_effect(command: Run | Study, technology: str = "") -> set[str]:
     return set.intersection(*(set(settings.without_effect()) for settings in at_sizes))
 
 
-def study_of(**settings: Any) -> Study:
+def study_of(**settings) -> Study:
     return Study.model_validate({"name": "a"} | settings)
 
 
@@ -410,7 +409,7 @@ INSET = {"fill_factor": 0.4, "fill_factor_law": "inset"}
         ({"pixel": INSET, "pitch": {"min_um": 6.0}}, {"pixel.fill_factor_law"}),
     ],
 )
-def test_settings_of_a_study_without_effect(settings: dict[str, Any], unused: set[str]) -> None:
+def test_settings_of_a_study_without_effect(settings: dict, unused: set[str]) -> None:
     """And those of its range of sizes that have one move the sizes."""
     study = study_of(**settings)
     assert without_effect(study) == unused
@@ -442,9 +441,7 @@ def test_settings_of_a_study_without_effect(settings: dict[str, Any], unused: se
         ),
     ],
 )
-def test_value_that_holds_anyway_is_not_named(
-    pixel: dict[str, Any], display: dict[str, Any], names: set[str]
-) -> None:
+def test_value_that_holds_anyway_is_not_named(pixel: dict, display: dict, names: set[str]) -> None:
     """A default, that of the technology, 0 of what is not there; nor in the settings that a result
     states.
     """
@@ -459,7 +456,6 @@ def test_value_that_holds_anyway_is_not_named(
 def test_a_thousandth_of_the_scatter_is_resolved(share: float, names: set[str]) -> None:
     """An offset pattern adds its square to the variance of each pixel."""
     base = settings_of(Run(pixel=Pixel(**FAINT))).base
-    assert base is not None
     scatter_e = math.sqrt(float(base.variance_e2(base.frame.mean_e).min()))
     assert without_effect(Run(pixel=Pixel(**FAINT, dsnu_e=share * 1e-3 * scatter_e))) == names
 
@@ -480,7 +476,6 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     lamps. White is 1.1 times the brightest dot.
     """
     base = settings_of(Run(pixel=Pixel(**FAINT), exposure=Exposure(**exposure))).base
-    assert base is not None
     camera = base.imaging.camera
     assert base.frame.dn.shape == (20, 20)
     fill = base.mean_e.max() / base.readout.saturation_e

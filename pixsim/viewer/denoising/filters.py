@@ -23,6 +23,7 @@ from pixsim.base.arrays import Array, first_where, values_of
 from pixsim.base.bounds import FINITE, Axes, NotNegative
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.viewer.denoising import anscombe
+from pixsim.viewer.denoising.variance_table import VarianceTable
 
 # A function of a plane whose noise has variance 1, and of the strength.
 Denoiser = Callable[[Array, float], Array]
@@ -44,7 +45,7 @@ def _lacks_packages() -> str:
 
 def denoised_plane(
     raw_e: Annotated[Array, FINITE, Axes(2)],
-    gaussian_variance_e2: anscombe.GaussianVariance,
+    noise: anscombe.GaussianVariance | VarianceTable,
     method: Named | Denoiser,
     strength: NotNegative = 1.0,
 ) -> Array:
@@ -52,8 +53,8 @@ def denoised_plane(
 
     raw_e : (H, W) electrons of light and dark together, of one channel, whose noise has the
         variance of a Poisson number plus the next; of several frames their sum
-    gaussian_variance_e2 : of the noise that does not grow with the signal: reset, read noise and
-        rounding
+    noise : variance in electrons squared of the noise that does not grow with the signal: reset,
+        read noise and rounding; or a table of the variance of all noise
     method : nlm, wavelet, or a function of a plane whose noise has variance 1, and of `strength`,
         that returns such a plane
     strength : of the noise that the filter takes away, relative to the known noise; 0 leaves the
@@ -76,9 +77,10 @@ def denoised_plane(
             )
         if missing := _lacks_packages():
             raise PixsimError(f"denoise '{method}' needs {missing}.")
-    values = anscombe.forward(raw_e, gaussian_variance_e2)
-    filtered = _filter_of(method)(values, strength)
-    return anscombe.inverse(filtered, gaussian_variance_e2)
+    denoise = _filter_of(method)
+    if isinstance(noise, VarianceTable):
+        return noise.inverse(denoise(noise.forward(raw_e), strength))
+    return anscombe.inverse(denoise(anscombe.forward(raw_e, noise), strength), noise)
 
 
 def _filter_of(method: Named | Denoiser) -> Denoiser:

@@ -11,6 +11,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pixsim.viewer.metric_kernels.contrast_detection import (
         contrast_detection_probability as contrast_detection_probability,
+        contrast_detection_share as contrast_detection_share,
     )
     from pixsim.viewer.metric_kernels.information_density import (
         folded_spectrum as folded_spectrum,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.metric_kernels.visible_noise import visual_noise as visual_noise
 
 _NAMES_OF = {
-    "contrast_detection": "contrast_detection_probability",
+    "contrast_detection": "contrast_detection_probability contrast_detection_share",
     "information_density": (
         "folded_spectrum information_bits_per_mm2 natural_spectrum neq radial_spectrum"
     ),

@@ -1,31 +1,19 @@
-"""Blocks of README, docs/ and notebooks are run; output and pictures must be those that they show.
-Names on pages, and files that they name, are there.
-
-On the processor and with the packages of docs/made_on.toml, every digit must agree.
+"""Blocks of README and docs/ are all run somewhere; names on pages, and files that they name, are
+there. test_pages.py runs the blocks.
 """
 
 import json
 import os
 import re
-import warnings
 from datetime import datetime
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from helpers.documents import (
-    MADE_ON,
-    ROOT,
-    Page,
-    alike_pictures,
-    blocks_of,
-    difference,
-    differs_from_made_on,
-    first_study,
-)
-from helpers.looks import Elements
-from helpers.notebooks import NOTEBOOKS, executed, outputs
+from helpers.documents import MADE_ON, ROOT, difference
+from references.notebooks import NOTEBOOKS
+from references.pages import blocks_of
 
 import pixsim
 from pixsim.optics.camera import Camera
@@ -48,54 +36,10 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs/gallery").glob("*.md")),
 ]
-# First, so that in the end no worker waits for one of them.
-LONGEST = (
-    *(
-        "inspection_line.md",
-        "pixel_stack.md",
-        "own_scene.md",
-        "first_sensor.md",
-        "compare.md",
-        "colour.md",
-        "rendering.md",
-    ),
-    *("questions.md", "not_known.md", "how_small.md"),
-)
 
 
 def text_of(path: Path) -> str:
     return path.read_text(encoding="utf-8")
-
-
-@pytest.fixture(scope="module")
-def exact() -> bool:
-    """Whether this is the machine of docs/made_on.toml; if not, a notice says what is compared."""
-    if found := differs_from_made_on():
-        warnings.warn(
-            f"pages are compared within their intervals, not in every digit: {found}", stacklevel=1
-        )
-    return not found
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "path", sorted(PAGES, key=lambda path: path.name not in LONGEST), ids=lambda path: path.name
-)
-def test_page_blocks_give_shown_output(
-    path: Path, exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Part of `.ci/run`."""
-    monkeypatch.setenv("MPLBACKEND", "agg")
-    page = Page(path, tmp_path, exact)
-    page.check()
-    if path.name == "studies.md":
-        report = tmp_path / "pixsim-out/chen2000/report.html"
-        assert 1e6 < report.stat().st_size < 5e6, "what an e-mail takes"
-    for shown, created in page.pictures:
-        assert shown.is_file(), f"{path.name} shows {shown.name}, which does not exist"
-        assert alike_pictures(shown, created, exact), (
-            f"{shown} is outdated: run python tests/benchmarks/pages.py {path}"
-        )
 
 
 BLOCKS = [(path, block) for path in PAGES for block in blocks_of(text_of(path))]
@@ -121,29 +65,6 @@ def test_blocks_of_pages_are_all_checked() -> None:
             "{"
         ):  # a directive of the site
             assert {"file", "output"} & block.comments.keys(), f"{where}: neither run nor compared"
-
-
-@pytest.mark.slow
-def test_readme_first_study_gives_shown_output(
-    exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first study of README gives the output and the first picture that it shows, and what the
-    paper says.
-
-    Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and
-    display: ± 0.6 µm.
-    """
-    page = Page(first_study(README, tmp_path), tmp_path, exact)
-    page.check()
-    ((picture, drawn),) = page.pictures
-    assert alike_pictures(ROOT / picture.relative_to(tmp_path), drawn, exact)
-    (curve,) = pixsim.study("chen2000", drawn.parents[1], quick=True).curves  # its rows are stored
-    best, mean = curve.optimum, curve.mean()
-    assert (curve.technology, best.inside) == ("0.35um", True)
-    assert best.pitch_um == pytest.approx(6.5, abs=0.6)
-    assert best.half_width_um <= 0.1, "what the study asks for"
-    assert mean[0] > 1.3 * best.mean_delta_e, "noise: 5 % fill factor"
-    assert mean[-1] > 1.3 * best.mean_delta_e, "blur: 15 µm"
 
 
 # --- Glossary of the paper's terms
@@ -192,10 +113,6 @@ def test_glossary_names_exist(term: str, meaning: str, code: str) -> None:
         ), f"no {name}"
 
 
-# --- The runner itself
-# ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("expected", "printed", "same"),
     [
@@ -223,32 +140,6 @@ def test_difference_compares_output(expected: str, printed: str, same: bool) -> 
     assert (difference(expected, printed, exact=False) == "") == same
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "```sh\nexit 3\n```\n",
-        "```sh\necho 'the time limit of 120 s ended rendering' >&2\n```\n",
-        (
-            "```python\nimport warnings\nwarnings.warn('the time limit of 120 s ended"
-            " rendering')\n```\n"
-        ),
-        "```python\nassert 1 == 2\n```\n",
-        "```sh\necho 1\n```\n\n<!-- output -->\n```text\n2\n```\n",
-        "```python\nprint(1)\n```\n",
-        "```python\nprint(1)\n```\n\n```python\nx = 2\n```\n",
-        "<!-- output -->\n```sh\necho 1\n```\n",
-        "<!-- picture: a.svg -->\nwords\n",
-        "~~~sh\nexit 3\n~~~\n",
-        "> ```sh\n> exit 3\n> ```\n",
-        "```sh\ntrue\n",
-    ],
-)
-def test_page_with_wrong_output_fails(text: str, tmp_path: Path) -> None:
-    (tmp_path / "page.md").write_text(text, encoding="utf-8")
-    with pytest.raises((AssertionError, UserWarning)):
-        Page(tmp_path / "page.md", tmp_path).check()
-
-
 MAX_BYTES = 500_000
 
 
@@ -261,36 +152,6 @@ def test_notebook_is_small_and_has_been_run_in_order(path: Path) -> None:
     assert cells[0]["source"][0].startswith("# ")
     for words in ("/work/", "/tmp/", "/home/"):
         assert words not in path.read_text(encoding="utf-8"), "a path of the machine it was made on"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(
-    not (find_spec("nbclient") and find_spec("ipykernel")),
-    reason="nbclient or ipykernel is not installed",
-)
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_gives_shown_output(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Numbers within 2 %, or within the interval printed with them; results show themselves with a
-    picture and no scripts.
-    """
-    import nbformat
-
-    monkeypatch.setenv(
-        "IPYTHONDIR", str(tmp_path / ".ipython")
-    )  # both processes make one, else at home
-    stored = outputs(nbformat.read(path, as_version=4))
-    made = outputs(executed(path, tmp_path))
-    assert [output[:2] for output in stored] == [output[:2] for output in made]
-    assert any(kind == "text/html" for _, kind, _ in made)
-    for (cell, kind, expected), (_, _, printed) in zip(stored, made, strict=True):
-        if kind == "text/html":
-            words = Elements(printed)
-            assert "img" in words.tags
-            assert "script" not in words.tags
-        else:
-            assert difference(expected.strip(), printed.strip(), exact=False) == "", f"cell {cell}"
 
 
 MIGRATION = "\n".join(
@@ -355,7 +216,7 @@ def test_every_public_name_of_1_0_is_there_or_on_the_page() -> None:
     assert is_lost("pixsim.base.parameters.Axis.no_such_field")
 
 
-def test_citation_and_changelog_state_this_version_and_its_day() -> None:
+def test_project_citation_and_changelog_state_this_version_and_its_day() -> None:
     """Of the newest release; what is "(unreleased)" above it has no day."""
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     newest, day = re.findall(
@@ -363,7 +224,8 @@ def test_citation_and_changelog_state_this_version_and_its_day() -> None:
     )[0]
     versions = re.findall(r"^version: (.+)$", citation, re.MULTILINE)
     versions += re.findall(r"^  version = \{(.+)\},$", text_of(README), re.MULTILINE)
-    assert [*versions, newest] == [pixsim.__version__] * 3
+    versions += re.findall(r'^version = "(.+)"$', text_of(ROOT / "pyproject.toml"), re.MULTILINE)
+    assert [*versions, newest, version("pixsim")] == [pixsim.__version__] * 5
     assert re.findall(r"^date-released: (.+)$", citation, re.MULTILINE) == [
         f"{datetime.strptime(day, '%d %B %Y'):%Y-%m-%d}"
     ]
@@ -373,3 +235,12 @@ def test_pages_name_files_that_are_there() -> None:
     text = "\n".join(map(text_of, (ROOT / "docs").rglob("*.md")))
     names = re.findall(r"\b(?:tests|pixsim|scenes|docs)/[\w./-]+\.\w+", text)
     assert [name for name in names if not (ROOT / name).exists()] == []
+
+
+def test_architecture_names_each_file_of_studies() -> None:
+    text = text_of(ROOT / "docs/architecture.md").partition("### The files of `studies/`")[2]
+    section = text.partition("\nKeys decide")[0]
+    files = {path.stem for path in (ROOT / "pixsim/studies").glob("*.py")} - {"__init__"}
+    assert not {name for name in files if f"`{name}`" not in section}, (
+        "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
+    )

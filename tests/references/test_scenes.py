@@ -1,12 +1,12 @@
-"""Scenes with lamps and objects, and the edits of scenes/README.md: each changes the picture as
-physics predicts.
+"""The packaged scenes and their spectra as files: against standards, in stock Mitsuba, and with the
+edits of scenes/README.md, each of which changes the picture as physics predicts.
 """
 
 import re
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import colour
 import numpy as np
@@ -173,11 +173,8 @@ def test_every_step_has_a_test() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_packaged_scenes_render_in_stock_mitsuba(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_packaged_scenes_render_in_stock_mitsuba(name: str, here: Path) -> None:
     mi = import_mitsuba(VARIANT)
-    monkeypatch.chdir(tmp_path)
     picture = np.asarray(mi.render(mi.load_file(str(FOLDER / f"{name}.xml"), resolution=16, spp=4)))
     assert np.isfinite(picture).all()
     assert np.count_nonzero(picture.sum(axis=2)) > 250
@@ -309,7 +306,7 @@ def around(row: float, column: float, half: float = 0.02) -> tuple[slice, slice]
 
 A_OVER_D65 = in_pulses("a") / in_pulses("d65")
 # step: (where, radiance over radiance before, relative or absolute tolerance)
-RATIOS: dict[str, list[tuple[Any, ArrayLike, float]]] = {
+RATIOS: dict[str, list[tuple[object, ArrayLike, float]]] = {
     # Of patches, as test_macbeth_patches_match_tables has them
     "another_lamp": [(patch(6), A_OVER_D65, 2e-3), (patch(12), A_OVER_D65, 2e-3)],
     "another_reflectance": [

@@ -11,8 +11,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from helpers.documents import ROOT, blocks_of
+from helpers.documents import ROOT
 from helpers.processes import HANG_S
+from references.pages import blocks_of
 
 from pixsim.studies.design import cases_of
 from pixsim.studies.files import load_study
@@ -42,7 +43,6 @@ def test_lines_before_are_there_once() -> None:
         assert (ROOT / name).read_text(encoding="utf-8").count(before) == 1, f"{name}:\n{before}"
 
 
-@pytest.mark.slow  # the test above finds lines that have moved
 def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
     for name in ("pixsim", "tests", "scenes"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
