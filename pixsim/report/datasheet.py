@@ -81,7 +81,7 @@ def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
 @figure(
     "characteristic_curve",
     "Output against light, and the signal-to-noise ratio at the input. The dynamic range lies"
-    " between the vertical lines.",
+    " between the vertical lines; at a knee of the output a single exposure lies lower.",
 )
 def _characteristic_plate(sheet: DataSheet) -> Drawing:
     """Draw the characteristic curve and its SNR against photons, on logarithmic axes."""
