@@ -81,7 +81,7 @@ def _photon_transfer_plate(sheet: DataSheet) -> Drawing:
 @figure(
     "characteristic_curve",
     "Output against light, and the signal-to-noise ratio at the input. The dynamic range lies"
-    " between the vertical lines.",
+    " between the vertical lines; at a knee of the output a single exposure lies lower.",
 )
 def _characteristic_plate(sheet: DataSheet) -> Drawing:
     """Draw the characteristic curve and its SNR against photons, on logarithmic axes."""
@@ -420,7 +420,8 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
     if experiment.is_merged:
         first, *others = (reading.name for reading in experiment.whole.readout.readings)
         texts.append(
-            f"EMVA 1288 General is that of the merge of {first} and {', '.join(others)}; all other"
+            f"EMVA 1288 General is that of the merge of {first} and {', '.join(others)}, whose few"
+            " full readings that pass as valid scatter SNR_p beyond its standard error; all other"
             f" values are those of the reading {first}"
         )
     if readout.adc.knees is not None:

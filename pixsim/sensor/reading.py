@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, NotNegative, Positive
-from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
 from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
@@ -380,47 +379,6 @@ class Readout:
     def offset_e(self) -> float:
         """Spread of all offsets of pixels and columns."""
         return constant_e(self, is_temporal=False)
-
-    def dynamic_range_db(self, integration_s: NotNegative) -> float:
-        """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark
-        noise (Chen et al. 2000, eq. 1).
-
-        Raises PixsimError if the dark charge fills the well.
-
-        >>> from pixsim.sensor.pixel import derive
-        >>> from pixsim.sensor.pixel_options import Pixel
-        >>> paper = Readout.of(derive(Pixel(capacitance="paper")))
-        >>> round(paper.dynamic_range_db(0.03), 1)  # Fig. 2a has 35 to 70 dB
-        61.1
-        """
-        dark_e = self.dark_current_e_per_s * integration_s
-        if dark_e >= self.saturation_e:
-            raise invalid(
-                "integration_s of the dynamic range",
-                f"{rounded(dark_e, 3)} e- of dark charge",
-                f"less than saturation, {rounded(self.saturation_e, 3)} e-",
-                "Shorten the integration time or cool the sensor.",
-            )
-
-        dark_variance_e2 = self._dark_variance_e2(dark_e)
-        if not dark_variance_e2:
-            return math.inf
-        return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(dark_variance_e2))
-
-    def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
-        """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
-
-        Raises PixsimError if the charge is negative.
-        """
-        if signal_e <= 0:
-            if signal_e < 0:
-                raise invalid("signal_e", signal_e, "0 or more electrons")
-            return -math.inf
-        dark_e = self.dark_current_e_per_s * integration_s
-        return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
-
-    def _dark_variance_e2(self, dark_e: float) -> float:
-        return float(variance_e2(self, is_temporal=True, dark_e=dark_e)) + dark_e
 
 
 def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 from pixsim.base.digits import interval, percent
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
+from pixsim.sensor.dynamic_range import readout_range, readout_snr_db
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -47,12 +48,20 @@ def dr_and_snr_db(
     options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
     pixels = [derive(Pixel.model_validate(option), technology) for option in options]
     readouts = [Readout.of(pixel) for pixel in pixels]
-    dr = [readout.dynamic_range_db(FIGURE_2_INTEGRATION_S) for readout in readouts]
-    snr = [
-        readout.snr_db(_FIGURE_2_WELL_FRACTION * readout.full_well_e, FIGURE_2_INTEGRATION_S)
+    dr = [
+        readout_range(readout, 0.0, FIGURE_2_INTEGRATION_S, rounding=False).maker_db
         for readout in readouts
     ]
-    return np.array(dr), np.array(snr)
+    snr = [
+        readout_snr_db(
+            readout,
+            _FIGURE_2_WELL_FRACTION * readout.full_well_e,
+            FIGURE_2_INTEGRATION_S,
+            rounding=False,
+        )
+        for readout in readouts
+    ]
+    return np.array(dr), np.array(snr, float)
 
 
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:

@@ -24,6 +24,7 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.report.axes import verdict_words
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
+from pixsim.sensor.dynamic_range import readout_snr_db
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.stack_options import StackOptions
@@ -137,7 +138,8 @@ def snr_at_mpe30_db(pitch_um: float, integration_s: float) -> float:
     physics = derive(pixsim.Pixel(pitch_um=pitch_um, read_noise_e=12.0))
     exposure_lx_s = mpe30_lx_s(result, physics, integration_s)
     e_per_lx_s = sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
-    return float(Readout.of(physics).snr_db(exposure_lx_s * e_per_lx_s, integration_s))
+    signal_e = exposure_lx_s * e_per_lx_s
+    return float(readout_snr_db(Readout.of(physics), signal_e, integration_s, rounding=False))
 
 
 def sensitivity(response: str = "literal", cut_nm: float | None = None, **form) -> float:
