@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from functools import cache, reduce
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
