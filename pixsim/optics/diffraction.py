@@ -32,7 +32,7 @@ _NM_PER_MM = 1e6
 _OTF_TABLE_SIZE = 1 << 15  # frequencies; the error of linear interpolation is below 3e-8
 # One for each wavelength, 80 MiB in all: more than a plan has bands, or none would stay cached.
 _MAX_CACHED_TABLES = 320
-_MAX_CACHED_SUMS = 64  # of sums over the wavelengths, 16 MiB in all
+_MAX_CACHED_SUMS = 256  # of sums over the wavelengths, 64 MiB in all: of 20 pictures in 6 responses
 
 
 def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:

@@ -920,12 +920,12 @@ def measured_parts(
     shape: tuple[int, int], pixels_per_cell: float, margin: int = 0
 ) -> list[tuple[slice, slice]]:
     """Return the rows and columns of a film (H, W) on which the noise is measured: all of it, or
-    parts with `_MEASURED` pixels.
+    parts with `_MEASURED` pixels or cells.
 
     pixels_per_cell : along each side
     margin : cells at each side of the film to which rows and columns are counted
     """
-    thinning = math.sqrt(math.prod(shape) * pixels_per_cell**2 / _MEASURED)
+    thinning = math.sqrt(math.prod(shape) * max(pixels_per_cell, 1.0) ** 2 / _MEASURED)
     if thinning <= 1 or min(shape) < PARTS:
         return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 

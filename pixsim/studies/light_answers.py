@@ -114,9 +114,18 @@ class LightAnswers:
         return values
 
     def _columns(self, imaging: Imaging, lights: Sequence[_Light]) -> list[dict[str, Array]]:
-        """Return the first number of each metric of one pixel, for each light."""
+        """Return the first number of each metric of one pixel, for each light, all shown with the
+        white of the first one.
+        """
         steady = imaging.changed(border_um=None, motion=NO_MOTION, exposure=imaging.exposure.steady)
-        lights = [(with_white_of(steady, image), background) for image, background in lights]
+        first = with_white_of(steady, lights[0][0])
+        lights = [
+            (
+                image.with_planes(image.whole.planes, header=first.header, margin=image.margin),
+                background,
+            )
+            for image, background in lights
+        ]
         columns: list[dict[str, Array]] = [{} for _ in lights]
         others = [metric for metric in self.metrics.chosen if not metric.is_delta_e]
         if len(others) < len(self.metrics.chosen):
