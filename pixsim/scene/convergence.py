@@ -133,7 +133,10 @@ class AnswerError:
 
     @classmethod
     def of_distance(cls, value: Array, halves: Array, quarters: Array) -> AnswerError:
-        """Return the error of a mean distance, such as ΔE, with arguments as for `of`.
+        """Return the error of a mean distance, such as ΔE, of a render from its halves and
+        quarters.
+
+        value, halves, quarters : in parts of the picture, (parts,), (2, parts), (4, parts)
 
         Noise and differences add as squares, so that the square of a part's distance is a + b v,
         with the variance v of the noise. It is extrapolated from the whole and halves, and from
@@ -198,7 +201,7 @@ def _deviation(quarters: Array) -> float:
     quarters : in parts of the picture, (4, parts)
 
     Four quarters may be alike by chance, but hardly in all parts of the picture: their scatter is
-    the larger of that of the whole and that of parts whose noise is independent.
+    the larger one, of the whole or of parts whose noise is independent.
     """
     of_whole = float(np.var(quarters.mean(axis=1), ddof=1))
     of_parts = float(np.var(quarters, axis=0, ddof=1).mean()) / quarters.shape[1]
@@ -389,7 +392,7 @@ def pilot_render(
 
     scene, camera, plan : of the part, with as many samples in a cell as the whole
     answers : that are asked of the part
-    share : area of the part over that of the whole: what scatters over the whole is as much less
+    share : area of the part over the whole area: over it, what scatters is as much less
     """
     start_s = time.perf_counter()
     renderer = Renderer(scene, camera, plan, seed)

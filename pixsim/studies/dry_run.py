@@ -113,7 +113,7 @@ def render_seconds(
 
 def pilot_of(case: Case[Any], request: LightRequest) -> Pilot | None:
     """Return the pilot render of the light of a case: of the middle of its picture, an eighth
-    across; None for a light without noise.
+    across, or None for a light without noise.
     """
     if request.plan.samples.exact:
         return None
@@ -350,7 +350,7 @@ def _planned_light(request: LightRequest, pilot: Pilot | None) -> dict[str, Any]
     rays_a_pixel : limit of the rays on each pixel, of all passes together, or None if only time
         limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise, or None without one
-    rays_over_limit : rays that the tolerances need, over the limit of the rays; None without noise
+    rays_over_limit : rays that the tolerances need over their limit, or None without noise
     """
     height, width = request.shape
     plan = request.plan

@@ -35,7 +35,7 @@ from pixsim.viewer.scene_light import SceneLight, prepare_scene
 from pixsim.viewer.screen import white_header
 
 # Cells, pixels or quarters of dots that are measured of a light, seven times: what noise does to a
-# part of a picture of that size scatters less than what is left of its bias.
+# part of a picture of that size scatters less than its bias is unsure.
 _MEASURED = MEASURED // 4
 _Light = tuple[SpectralImage, SpectralImage | None]  # with and without its target
 
