@@ -54,7 +54,13 @@ from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.in_process import InProcessTracer
 from pixsim.scene.job import Lamps, OutOfTimeError, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
-from pixsim.scene.rules import BACKGROUNDS, MIN_MULTIJITTER_SPP, SAMPLE_COUNTS, irregular_tables
+from pixsim.scene.rules import (
+    BACKGROUNDS,
+    MIN_MULTIJITTER_SPP,
+    MIN_PATH_SPP,
+    SAMPLE_COUNTS,
+    irregular_tables,
+)
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, nodes_of, parse_tree
 from pixsim.scene.white_plate import dark_plate_error
@@ -507,7 +513,10 @@ class Renderer:
 
         spp = self.plan.samples.spp * LEVEL_FACTOR**level
         if level:
-            spp = next((count for count in SAMPLE_COUNTS if count >= spp), spp)
+            counts = (
+                (MIN_PATH_SPP, *SAMPLE_COUNTS) if self.plan.film.chart is None else SAMPLE_COUNTS
+            )
+            spp = next((count for count in counts if count >= spp), spp)
         lights = [self._light_traces(light, spp) for light in range(len(self.plan.light.lamps))]
 
         count = sum(traces.renders * len(traces.rows) for traces in lights)
