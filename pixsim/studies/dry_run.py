@@ -35,6 +35,7 @@ from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import NOISE_SENSORS
 from pixsim.studies.settings import Study
 from pixsim.studies.uncertainty import MAX_TYPE_EVALUATIONS
+from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 
 if TYPE_CHECKING:
@@ -127,12 +128,16 @@ def pilot_of(case: Case[Any], request: LightRequest) -> Pilot | None:
     settings = case.settings.model_copy(update={"display": display})
     scene = request.first.with_resolution(across)
     part = light_request(replace(case, settings=settings, resolved=(scene, camera)))
+    # The scene without a target is not rendered for a pilot.
+    metrics = part.answers.metrics
+    chosen = tuple(metric for metric in metrics.chosen if not has_target([metric.name]))
+    answers = replace(part.answers, metrics=replace(metrics, chosen=chosen))
     with suppressed_warnings():  # the command itself warns
         return pilot_render(
             part.first,
             camera,
             replace(part.plan, samples=request.plan.samples),
-            part.answers,
+            answers,
             share=(across / width) ** 2,
             seed=settings.seed,
         )

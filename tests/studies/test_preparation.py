@@ -400,6 +400,12 @@ def test_dry_run_of_paths_traces_a_small_part(here: Path, monkeypatch: pytest.Mo
     assert not list(here.iterdir())
 
 
+def test_dry_run_leaves_out_the_scene_without_its_target(here: Path) -> None:
+    line = "run macbeth --resolution 128 --metrics detectability,delta_e --dry-run --json"
+    _, out, err = command(f"{line} --metric.detectability.without flat")
+    assert json.loads(out)["errors"]["rays_over_limit"] > 0, err
+
+
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     """Two sensors of each size are shown on two further displays."""
     small = {"resolution": 48, "window_mm": 0.2, "pitch": {"count": 5}, "refine": False}
