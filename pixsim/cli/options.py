@@ -334,7 +334,7 @@ DryRun = Annotated[
     Parameter(
         help=(
             "Show what would be computed, with its memory and approximate time; nothing is"
-            " rendered or written."
+            " written, and of a lit scene only a small part is rendered."
         )
     ),
 ]

@@ -575,7 +575,7 @@ def _colour(experiment: Experiment, gain_spread: float) -> Colour | str | None:
 
 
 EMVA = "EMVA 1288"
-GENERAL = "EMVA 1288 General, formulae from memory"
+GENERAL = "EMVA 1288 General"
 NOISE = "ISO 15739"
 SPEED = "ISO 12232"
 COLOUR = f"ISO 17321-1 and noise in colour, illuminant {colours.LAMP}"

@@ -115,8 +115,8 @@ def _cost_of(job: ComparisonJob) -> Cost:
     seconds = START_S + PAGE_S
     largest_bytes = 0.0
     cores = processors().usable
+    pilot: Pilot | None = None
     for group in job.groups:
-        pilot: Pilot | None = None
         for case in group.cases:
             request = group.request(case, group.film_width)
             pilot = pilot or pilot_of(case, request)
@@ -124,7 +124,14 @@ def _cost_of(job: ComparisonJob) -> Cost:
                 case.camera, case.settings.pixel.pitch_um, group.display, *case.further_displays
             )
             seconds += (
-                render_seconds(request.plan, request.shape, cores, pilot, frame.seconds)
+                render_seconds(
+                    request.plan,
+                    request.shape,
+                    cores,
+                    pilot,
+                    frame.seconds,
+                    case.settings.max_seconds,
+                )
                 + repeats * frame.seconds / cores
             )
             largest_bytes = max(

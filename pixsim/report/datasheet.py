@@ -422,7 +422,7 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
         texts.append(
             f"EMVA 1288 General is that of the merge of {first} and {', '.join(others)}, whose few"
             " full readings that pass as valid scatter SNR_p beyond its standard error; all other"
-            f" values are those of the reading {first}"
+            f" values are those of the reading {first} without errors of its gain and black level"
         )
     if readout.adc.knees is not None:
         texts.append(

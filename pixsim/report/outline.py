@@ -102,8 +102,8 @@ def _light_rows(outline: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if rays is not None and rays > 1:
         yield (
             "errors",
-            f"will not converge: the tolerances need about {rays:g} times the limit of rays; state"
-            " --max-seconds or a larger --tolerance-delta-e",
+            f"may not converge: the tolerances need about {rays:g} times the limit of rays;"
+            " --max-seconds takes its place",
         )
     share = outline.get("errors", {}).get("film_share")
     if share is not None and share > TOLERATED_SHARE:

@@ -371,7 +371,7 @@ def render_until(
 
 @dataclass(frozen=True)
 class Pilot:
-    """What a render of a part of a picture tells of the render of the whole.
+    """Estimate of a render, from that of a part of its picture.
 
     start_s : until the first sample is traced: the scene is loaded, its kernels are compiled
     samples_per_s : samples traced in a second
@@ -385,34 +385,50 @@ class Pilot:
 
 
 def pilot_render(
-    scene: Scene, camera: Camera, plan: Plan, answers: Answers, share: float, seed: int = 0
+    scene: Scene,
+    camera: Camera,
+    plan: Plan,
+    pixels: Sequence[Pixel | PixelPhysics],
+    exposure: Exposure,
+    answers: Answers,
+    share: float,
+    seed: int = 0,
+    *,
+    render_noise: float | None = None,
 ) -> Pilot:
     """Render a part of a picture as the whole would begin, and tell the samples and the time of the
-    whole.
+    whole. Arguments that are not described are those of `render_until`.
 
     scene, camera, plan : of the part, with as many samples in a cell as the whole
     answers : that are asked of the part
     share : area of the part over the whole area: over it, what scatters is as much less
     """
-    start_s = time.perf_counter()
+    begun_s = time.perf_counter()
     renderer = Renderer(scene, camera, plan, seed)
     renderer.run(_QUARTERS)
-    begun_s = time.perf_counter()
+    loaded_s = time.perf_counter()
     quarters = _Quarters(renderer)
     quarters.add(_group(quarters, 0, _Reporter(None, 1.0), (0, 1)))
-    traced_s = time.perf_counter() - begun_s
+    traced_s = time.perf_counter() - loaded_s
 
-    demand = _Demand(answers, None)
+    demand = _Demand(answers, render_noise)
     demand.measure([quarters])
     factors = [
         replace(error, deviation=error.deviation * math.sqrt(share)).samples_factor
         for error in demand.errors.values()
     ]
-    samples = quarters.samples * plan.light.passes * math.prod(renderer.rendered_size)
+    if render_noise is not None:
+        fraction, _ = quarters.noise([_physics(pixel) for pixel in pixels], exposure)
+        factors.append((fraction / render_noise) ** 2)
+    cell_samples = quarters.samples * plan.light.passes
     return Pilot(
-        start_s=begun_s - start_s,
-        samples_per_s=samples / traced_s,
-        samples=samples / share * max(1.0, *factors) if factors else math.inf,
+        start_s=loaded_s - begun_s,
+        samples_per_s=cell_samples * math.prod(renderer.rendered_size) / traced_s,
+        samples=(
+            cell_samples * math.prod(renderer.size) / share * max(1.0, *factors)
+            if factors
+            else math.inf
+        ),
     )
 
 
@@ -497,8 +513,9 @@ class _Demand:
         for key, value in values[0].items():
             others = [numbers[key] for numbers in values[1:] if key in numbers]
             if len(others) == len(parts) - 1:
-                of = AnswerError.of_distance if key[0] == _MEAN_DELTA_E else AnswerError.of
-                error = of(value, np.array(others[:2]), np.array(others[2:]))
+                is_distance = key[0] == _MEAN_DELTA_E
+                estimate = AnswerError.of_distance if is_distance else AnswerError.of
+                error = estimate(value, np.array(others[:2]), np.array(others[2:]))
                 self.errors[key] = replace(
                     error,
                     is_corrected=self.answers.are_corrected,

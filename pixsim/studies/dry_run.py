@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.digits import counted, duration
+from pixsim.base.errors import PixsimError
 from pixsim.base.machine import processors
 from pixsim.base.mapped import MAX_MEMORY_BYTES
 from pixsim.base.notes import suppressed_warnings
@@ -51,7 +52,7 @@ _SAMPLE_S = 2e-7
 # A pilot: a share of the picture across, and cells at least.
 _PILOT_SHARE = 8
 _PILOT_ACROSS = 64
-_MIN_DOTS = 8
+_PILOT_DOTS = 8  # and pixels, at least
 # Scores of a light, its halves and its quarters, and of the film and the halves on other films.
 _SCORES_OF_NOISE = 7 + 3 * 6
 _CELL_S = 5e-7
@@ -90,7 +91,12 @@ class Cost:
 
 
 def render_seconds(
-    plan: Plan, shape: tuple[int, int], cores: int, pilot: Pilot | None, score_s: float
+    plan: Plan,
+    shape: tuple[int, int],
+    cores: int,
+    pilot: Pilot | None,
+    score_s: float,
+    max_seconds: float | None = None,
 ) -> float:
     """Estimate the seconds of rendering a light on a film of (H, W) samples, and of measuring its
     errors.
@@ -99,6 +105,7 @@ def render_seconds(
 
     pilot : of a part of the picture, or None where no paths are traced
     score_s : of the score of one frame on one core
+    max_seconds : time limit of the render, in place of that of its samples
     """
     cells = math.prod(shape)
     cell_s = _CELL_S if plan.film.tiling is None else _LENS_CELL_S
@@ -107,9 +114,10 @@ def render_seconds(
         samples = 0.0 if plan.samples.exact else 4.0 * cells * plan.samples.spp * plan.light.passes
         kernels_s = 0.0 if plan.samples.exact else _KERNEL_S * len(plan.light.lamps)
         return kernels_s + samples * _SAMPLE_S / cores + film_s
-    samples = min(pilot.samples, float(plan.most_samples))
-    scores_s = _SCORES_OF_NOISE * (score_s + film_s)
-    return pilot.start_s + samples / pilot.samples_per_s + scores_s / cores
+    trace_s = min(pilot.samples, float(plan.most_samples)) / pilot.samples_per_s
+    if max_seconds is not None:
+        trace_s = min(pilot.samples / pilot.samples_per_s, max_seconds)
+    return pilot.start_s + trace_s + _SCORES_OF_NOISE * (score_s + film_s) / cores
 
 
 def pilot_of(case: Case[Any], request: LightRequest) -> Pilot | None:
@@ -119,28 +127,35 @@ def pilot_of(case: Case[Any], request: LightRequest) -> Pilot | None:
     if request.plan.samples.exact:
         return None
     _, width = request.shape
-    across = max(_PILOT_ACROSS, width // _PILOT_SHARE // BLOCK * BLOCK)
-    if across >= width:
-        return None
-    camera = case.camera.window(case.camera.die_mm * across / width)
-    dots = max(_MIN_DOTS, round(case.settings.display.dots * across / width))
+    physics = request.measured[-1].physics
+    pixels = 1e3 * case.camera.die_mm / physics.pitch_um
+    fewest = math.ceil(_PILOT_DOTS * width / min(case.settings.display.dots, pixels))
+    across = min(width, max(_PILOT_ACROSS, width // _PILOT_SHARE, fewest) // BLOCK * BLOCK)
+    share = across / width
+    dots = max(_PILOT_DOTS, round(case.settings.display.dots * share))
     display = case.settings.display.model_copy(update={"dots": dots})
     settings = case.settings.model_copy(update={"display": display})
-    scene = request.first.with_resolution(across)
-    part = light_request(replace(case, settings=settings, resolved=(scene, camera)))
-    # The scene without a target is not rendered for a pilot.
-    metrics = part.answers.metrics
-    chosen = tuple(metric for metric in metrics.chosen if not has_target([metric.name]))
-    answers = replace(part.answers, metrics=replace(metrics, chosen=chosen))
-    with suppressed_warnings():  # the command itself warns
-        return pilot_render(
-            part.first,
-            camera,
-            replace(part.plan, samples=request.plan.samples),
-            answers,
-            share=(across / width) ** 2,
-            seed=settings.seed,
-        )
+    try:
+        camera = case.camera.window(case.camera.die_mm * share)
+        scene = request.first.with_resolution(across)
+        part = light_request(replace(case, settings=settings, resolved=(scene, camera)))
+        # The scene without a target is not rendered for a pilot.
+        metrics = part.answers.metrics
+        chosen = tuple(metric for metric in metrics.chosen if not has_target([metric.name]))
+        with suppressed_warnings():  # the command itself warns
+            return pilot_render(
+                part.first,
+                camera,
+                replace(part.plan, samples=request.plan.samples),
+                [part.pixel],
+                part.measured[0].exposure,
+                replace(part.answers, metrics=replace(metrics, chosen=chosen)),
+                share=share**2,
+                seed=settings.seed,
+                render_noise=settings.render_noise,
+            )
+    except PixsimError:  # of the part, which the whole may not have
+        return None
 
 
 def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
@@ -196,17 +211,18 @@ def _run_cost(
     evaluations: int,
     frame: FrameCost,
     pilot: Pilot | None = None,
+    max_seconds: float | None = None,
 ) -> Cost:
     """Estimate a run.
 
     plan : of its render, or None for a picture that is read
     shape : (H, W) of the film or the picture
-    pilot : of the render
+    pilot, max_seconds : of the render
     """
     render_s = 0.0
     light_bytes = 0.0
     if plan is not None:
-        render_s = render_seconds(plan, shape, cores, pilot, frame.seconds)
+        render_s = render_seconds(plan, shape, cores, pilot, frame.seconds, max_seconds)
         light_bytes = render_bytes(plan, shape)
     seconds = START_S + render_s + evaluations * frame.seconds
     return Cost(int(plan is not None), evaluations, seconds, light_bytes + frame.memory_bytes, 1)
@@ -247,7 +263,9 @@ def _study_cost(
 
     curves = sum(len(study.technologies) for study, _ in cases)
     largest_s = max(frame.seconds for case_frames in frames for frame in case_frames)
-    renders_s = lights * render_seconds(plan, shape, workers_here().jobs, pilot, largest_s)
+    renders_s = lights * render_seconds(
+        plan, shape, workers_here().jobs, pilot, largest_s, cases[0][0].max_seconds
+    )
     seconds = (
         START_S + PAGE_S + renders_s + frames_s / jobs + _CURVE_S * min(curves, _MAX_DRAWN_CURVES)
     )
@@ -287,7 +305,9 @@ def planned_run(prepared: Job[Run]) -> dict[str, Any]:
 
     frame = frame_cost(camera, pitch_um, settings.display)
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
-    cost = _run_cost(plan, shape, processors().usable, evaluations, frame, pilot)
+    cost = _run_cost(
+        plan, shape, processors().usable, evaluations, frame, pilot, settings.max_seconds
+    )
     if frames > 1:
         planned["frames"] = frames
     planned["sensors"] = [_planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)]

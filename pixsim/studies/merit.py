@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
@@ -303,7 +304,7 @@ class SnrCurve:
     light.
 
     charge_e : mean electrons of light in the first collector in a frame, (n,), rising
-    cd_per_m2_per_e : luminance of the scene's white on axis, over its charge; None for light that
+    cd_per_m2_per_e : luminance of the scene's white on axis, over its charge, or None for light that
         has none
     merged_db : SNR of the merge, (n,); -inf where the last reading is full
     readings_db : of each reading alone, (n,), by its name
@@ -320,14 +321,20 @@ class SnrCurve:
 
 
 def run_snr(result: RunResult) -> SnrCurve | None:
-    """Return the SNR of the pixel of a run in its exposure; None for a pixel that is read once."""
+    """Return the SNR of the pixel of a run in its exposure, or None for a pixel that is read
+    once, and where dark charge fills its last reading."""
     chain = result.chain
     if not chain.readout.readings:
         return None
     time_s = result.score.frame.integration_s
     readout = chain.readout.at(chain.exposure)
     snr_db = partial(readout_snr_db, readout, integration_s=time_s)
-    ranges = tuple(readout_range(readout, threshold_db, time_s) for threshold_db in THRESHOLDS_DB)
+    try:
+        ranges = tuple(
+            readout_range(readout, threshold_db, time_s) for threshold_db in THRESHOLDS_DB
+        )
+    except PixsimError:  # dark charge alone fills the last reading
+        return None
 
     largest_e = ranges[0].largest_e
     at_e = [level_e for level_e in switches_of_frame_e(readout, time_s) if level_e < largest_e]

@@ -220,7 +220,9 @@ def test_pilot_tells_the_samples_of_the_whole(monkeypatch: pytest.MonkeyPatch) -
     """
     Noisy(monkeypatch)
     tolerated = 0.003
-    pilot = convergence.pilot_render(*prepared("csf"), Roughness(False, tolerated), share=0.25)
+    pilot = convergence.pilot_render(
+        *prepared("csf"), [PIXEL], SHORT, Roughness(False, tolerated), share=0.25
+    )
     bias = 1 / 16
     scatter = 3.18 * 0.044 * 4 * bias / math.sqrt(4) / math.sqrt(4)
     systematic = bias + 2 * bias**2
