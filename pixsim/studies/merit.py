@@ -321,8 +321,9 @@ class SnrCurve:
 
 
 def run_snr(result: RunResult) -> SnrCurve | None:
-    """Return the SNR of the pixel of a run in its exposure, or None for a pixel that is read
-    once, and where dark charge fills its last reading."""
+    """Return the SNR of the pixel of a run in its exposure, or None for a pixel that is read once,
+    and where dark charge fills its last reading.
+    """
     chain = result.chain
     if not chain.readout.readings:
         return None
