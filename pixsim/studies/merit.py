@@ -304,7 +304,7 @@ class SnrCurve:
     light.
 
     charge_e : mean electrons of light in the first collector in a frame, (n,), rising
-    cd_per_m2_per_e : luminance of the scene's white on axis, over its charge, or None for light that
+    cd_per_m2_per_e : luminance of the scene's white on axis over its charge, or None for light that
         has none
     merged_db : SNR of the merge, (n,); -inf where the last reading is full
     readings_db : of each reading alone, (n,), by its name
