@@ -122,9 +122,9 @@ def render_seconds(
 
 def pilot_of(case: Case[Any], request: LightRequest) -> Pilot | None:
     """Return the pilot render of the light of a case: of the middle of its picture, an eighth
-    across, or None for a light without noise.
+    across, or None for a chart alone, which has little noise or none.
     """
-    if request.plan.samples.exact:
+    if request.plan.film.chart is not None:
         return None
     _, width = request.shape
     physics = request.measured[-1].physics
