@@ -51,7 +51,7 @@ from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.variants.variant import choose
 choose("llvm_ad_spectral")
 mi = import_mitsuba("llvm_ad_spectral")  # with an LLVM that works
-mi.render(mi.load_file(sys.argv[1], resolution=512), spp=76).numpy()
+mi.render(mi.load_file(sys.argv[1], resolution=512), spp=76, seed=1).numpy()
 """
 PEERS = {
     "run still_life": "scenes/still_life.xml",
