@@ -152,8 +152,7 @@ def _case_data(case: Case[Run]) -> dict[str, Any]:
 
 
 def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
-    """Return the answer of a dry run, with an estimate of time and memory; nothing is
-    written.
+    """Return the answer of a dry run, with an estimate of time and memory; nothing is written.
 
     out : folder that would be written
     """

@@ -35,9 +35,7 @@ def run_outline(prepared: Job[Run]) -> dict[str, Any]:
 
 
 def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
-    """Return what a study would do; nothing is written. `planned_study` describes the
-    arguments.
-    """
+    """Return what a study would do; nothing is written. `planned_study` describes the arguments."""
     return _common_entries(job, job.settings.scene.file, job.settings.camera) | planned_study(
         job, jobs, types
     )

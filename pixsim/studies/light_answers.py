@@ -118,12 +118,10 @@ class LightAnswers:
         white of the first one.
         """
         steady = imaging.changed(border_um=None, motion=NO_MOTION, exposure=imaging.exposure.steady)
-        first = with_white_of(steady, lights[0][0])
+        first, _ = lights[0]
+        header = first.header | white_header([(steady, first)])
         lights = [
-            (
-                image.with_planes(image.whole.planes, header=first.header, margin=image.margin),
-                background,
-            )
+            (image.with_planes(image.whole.planes, header=header, margin=image.margin), background)
             for image, background in lights
         ]
         columns: list[dict[str, Array]] = [{} for _ in lights]
@@ -142,20 +140,14 @@ class LightAnswers:
         return columns
 
 
-def with_white_of(imaging: Imaging, image: SpectralImage) -> SpectralImage:
-    """Return a light whose header states the white that it is shown with."""
-    header = image.header | white_header([(imaging, image)])
-    return image.with_planes(image.whole.planes, header=header, margin=image.margin)
-
-
 def _mean_delta_e(imaging: Imaging, images: Sequence[SpectralImage]) -> list[Array]:
     """Return the mean ΔE of one pixel in each light, in parts of the picture, (parts,)."""
     imaging = with_linear_denoising(imaging)
-    pitch_um = imaging.physics.read_pitch_um
     means = [np.empty(0)] * len(images)
     noise: list[Array] = []
 
     def measure(number: int) -> None:
+        pitch_um = imaging.physics.read_pitch_um
         parts = list(parts_of(images[number], pitch_um, imaging.display, _MEASURED))
         (means[number],) = delta_e_on_films([parts], [[None] * len(parts)], imaging, noise=noise)
 
