@@ -116,6 +116,12 @@ def packaged(folder: str) -> Mapping[str, Path]:
     )
 
 
+@lru_cache
+def packaged_tables(name: str) -> Mapping[str, Any]:
+    """Return the tables of the packaged file data/NAME.toml."""
+    return read_toml(Path(str(resources.files("pixsim") / f"data/{name}.toml")))
+
+
 def kind_of_value(value: object) -> str:
     """A value that stands where a table should, for a message: a number as it is, else what it
     is.

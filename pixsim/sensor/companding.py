@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-from functools import lru_cache
-from importlib import resources
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, NumberArray
+from pixsim.base.toml import packaged_tables
 from pixsim.sensor.quantities import Knees
 
 
-@lru_cache
 def packaged_knees(name: str) -> Knees:
     """Return the knees (linear_dn, code) of a packaged table, rising."""
-    text = (resources.files("pixsim") / "data/companding.csv").read_text("utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
-    rows = [row for row in csv.DictReader(lines) if row["name"] == name]
-    return tuple((int(row["linear_dn"]), int(row["code"])) for row in rows)
+    return tuple((linear_dn, code) for linear_dn, code in packaged_tables("companding")[name])
 
 
 def encode(level_dn: NumberArray, knees: Knees) -> NDArray[np.int32]:

@@ -5,8 +5,7 @@ threshold.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, NotNegatives
 from pixsim.base.bounds import NotNegative
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.sensor.merge import covariances_e2, level_variance_e2, switch_levels_e
+from pixsim.sensor.merge import level_variance_e2, switch_levels_e
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout, with_merge
@@ -25,9 +24,9 @@ from pixsim.sensor.technology import load_technology
 __all__ = ["DynamicRange", "dynamic_range", "snr_db"]
 
 _LOWEST_E = 1e-6
-_POINTS = 257  # of a segment between two switches, among which SNR crosses the threshold
+_POINTS = 301
 _STEPS = 60  # of bisection: beyond the digits of a float
-_BEFORE = 1 - 1e-12  # of a switch
+_BESIDE = 1e-9  # relative: of a switch, and below the end
 
 
 def snr_db(
@@ -80,45 +79,19 @@ def readout_snr_db(
     """Return `snr_db` of frames of a readout, which may be the sum of subexposures; charge and time
     are of a frame.
     """
+    readout = with_merge(readout)
+    if reading is not None:
+        names = [named.name for named in readout.readings]
+        if reading not in names:
+            allowed = ", ".join(names)
+            raise invalid("reading", f"'{reading}'", allowed, did_you_mean(reading, names))
+        readout = replace(readout, readings=(readout.readings[names.index(reading)],))
+
     level_e = np.atleast_1d(np.asarray(charge_e, float))
-    variance_e2 = _variance(with_merge(readout), integration_s, rounding=rounding, reading=reading)
-    return _snr_db(level_e.ravel(), variance_e2).reshape(np.shape(charge_e))
-
-
-def _variance(
-    readout: Readout, integration_s: float, *, rounding: bool, reading: str | None
-) -> Callable[[Array], Array]:
-    """Return the variance of a frame's estimate as a function of the level; NaN where it is
-    full.
-    """
-    count = readout.exposures
-    time_s = integration_s / count
-    if reading is None:
-        return lambda level_e: (
-            count * level_variance_e2(readout, level_e / count, time_s, rounding=rounding)
-        )
-
-    names = [named.name for named in readout.readings]
-    if reading not in names:
-        allowed = ", ".join(names)
-        raise invalid("reading", f"'{reading}'", allowed, did_you_mean(reading, names))
-    index = names.index(reading)
-    selected = readout.readings[index]
-
-    def variance_e2(level_e: Array) -> Array:
-        single_e = level_e / count
-        alone = covariances_e2(readout, single_e, time_s, rounding)[index, index]
-        is_full = selected.response * single_e + selected.dark_e(time_s) > selected.limit_e
-        return np.where(is_full, np.nan, count * alone)
-
-    return variance_e2
-
-
-def _snr_db(level_e: Array, variance: Callable[[Array], Array]) -> Array:
-    """Return the SNR of levels (n,); -inf where there is no light, or no variance."""
+    variance_e2 = level_variance_e2(readout, level_e.ravel(), integration_s, rounding=rounding)
     with np.errstate(divide="ignore", invalid="ignore"):
-        snr = 20 * np.log10(level_e) - 10 * np.log10(variance(level_e))
-    return np.where(np.isnan(snr) | (level_e <= 0), -np.inf, snr)
+        snr = 20 * np.log10(level_e) - 10 * np.log10(variance_e2.reshape(level_e.shape))
+    return np.where(np.isnan(snr) | (level_e <= 0), -np.inf, snr).reshape(np.shape(charge_e))
 
 
 @dataclass(frozen=True)
@@ -173,7 +146,7 @@ def dynamic_range(
     snr_db : the threshold, temporal noise alone, with shot noise
     integration_s, rounding : as in `pixsim.snr_db`
 
-    Raises PixsimError if dark charge fills the last reading, and as `derive` does.
+    There are none where dark charge fills the last reading. Raises PixsimError as `derive` does.
     """
     return readout_range(_readout_of(pixel), snr_db, integration_s, rounding=rounding)
 
@@ -185,30 +158,17 @@ def readout_range(
     and time are of a frame.
     """
     readout = with_merge(readout)
-    count = readout.exposures
     last = readout.readings[-1]
-    largest_e = count * (last.limit_e - last.dark_e(integration_s / count)) / last.response
-    if largest_e <= 0:
-        raise invalid(
-            "integration_s of the dynamic range",
-            f"{last.dark_e(integration_s / count):.4g} e- of dark charge",
-            f"less than the limit of '{last.name}', {last.limit_e:.4g} e-",
-            "Shorten the integration time or cool the sensor.",
-        )
+    largest_e = readout.saturation_e - last.dark_e(integration_s) / last.response
+    if largest_e <= _LOWEST_E:
+        return DynamicRange(snr_db, (), 0.0, math.nan)
 
-    variance_e2 = _variance(readout, integration_s, rounding=rounding, reading=None)
-    switches_e = [
-        level_e for level_e in switches_of_frame_e(readout, integration_s) if level_e < largest_e
-    ]
-    ends_e = [min(_LOWEST_E, largest_e / 2), *switches_e, largest_e]
-    level_e = np.concatenate(
-        [np.geomspace(low_e, high_e * _BEFORE, _POINTS) for low_e, high_e in pairwise(ends_e)]
-    )
-
-    def is_above(level: Array) -> NDArray[np.bool_]:
-        return np.asarray(_snr_db(level, variance_e2) >= snr_db)
+    def is_above(level_e: Array) -> NDArray[np.bool_]:
+        ratio_db = readout_snr_db(readout, level_e, integration_s, rounding=rounding)
+        return np.asarray(ratio_db >= snr_db)
 
     # Ranges end where the ratio crosses the threshold, and with the levels.
+    level_e = np.sort(np.append(*levels_of_light_e(readout, integration_s, _LOWEST_E, largest_e)))
     above = np.pad(is_above(level_e), 1)
     bounds_e = np.pad(level_e, 1, mode="edge")
     changes = np.flatnonzero(above[1:] != above[:-1])
@@ -218,14 +178,19 @@ def readout_range(
         is_before = is_above(middle) == above[changes]
         inner = np.where(is_before, middle, inner)
         outer = np.where(is_before, outer, middle)
-    crossings_e = np.sqrt(inner * outer).tolist()
-    ranges = tuple(zip(crossings_e[::2], crossings_e[1::2], strict=True))
-    dark_noise_e = math.sqrt(float(variance_e2(np.zeros(1))[0]))
-    return DynamicRange(snr_db, ranges, largest_e, dark_noise_e)
+    ends_e = np.sqrt(inner * outer).reshape(-1, 2).tolist()
+    dark_e2 = level_variance_e2(readout, np.zeros(1), integration_s, rounding=rounding)
+    ranges = tuple((low_e, high_e) for low_e, high_e in ends_e)
+    return DynamicRange(snr_db, ranges, largest_e, math.sqrt(float(dark_e2[0])))
 
 
-def switches_of_frame_e(readout: Readout, integration_s: float) -> list[float]:
-    """Return the charges of a frame at which the merge changes its readings, rising."""
-    count = readout.exposures
-    switches_e = (count * level_e for level_e in switch_levels_e(readout, integration_s / count))
-    return [level_e for level_e in switches_e if level_e > _LOWEST_E]
+def levels_of_light_e(
+    readout: Readout, integration_s: float, lowest_e: float, largest_e: float
+) -> tuple[Array, Array]:
+    """Return levels of frames in equal ratios, (n,), and those on both sides of each switch of the
+    merge between them, (2, switches).
+    """
+    switches_e = switch_levels_e(readout, integration_s)
+    switches_e = switches_e[(switches_e > lowest_e) & (switches_e < largest_e)]
+    beside_e = np.outer([1 - _BESIDE, 1 + _BESIDE], switches_e)
+    return np.geomspace(lowest_e, (1 - _BESIDE) * largest_e, _POINTS), beside_e

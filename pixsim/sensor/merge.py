@@ -8,12 +8,14 @@ first collector by (x_k - D_j)/r_j. Their covariance is
 
 Readings of one collector share its electrons: no weights lower their shot noise. A merge chooses
 weights by what is valid: x_k below its limit by some σ_k.
+
+Values of K readings at n levels, or in n pixels, are arrays (K, n), the most sensitive one first.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,166 +27,146 @@ from pixsim.base.arrays import Array
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.noise import Along, constant_e, variance_e2
 from pixsim.sensor.reading import Reading, Readout
-from pixsim.sensor.readout_options import ReadoutOptions
 
 _REACH = 6.0  # deviations of a normal law that integrals take in
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(24)
 _MIN_PASSING = 1e-12  # of full readings
 _UNUSED_E2 = 1e30  # variance of readings that are not valid
-_MIN_WEIGHT = 1e-12  # of a valid reading
 _TABLE_LEVELS = 2048  # more levels are interpolated in a table: a third of a deviation at 1e5 e-
 _TABLE_FROM = 1e-6  # of the brightest level
 LINES: tuple[Along, Along] = ("column", "row")  # pixels that share an offset
 _NEIGHBOURS = 3  # pixels along a side of the neighbourhood, of one channel
 
 
-def _valid_below_e(readout: Readout) -> list[float]:
-    """Return the charges below which readings are valid; the last one always is."""
+def _numbers(readout: Readout, number: Callable[[Reading], float]) -> Array:
+    """Return a number of each reading, (K, 1)."""
+    return np.array([[number(reading)] for reading in readout.readings])
+
+
+def _responses(readout: Readout) -> Array:
+    """Return the response of each reading, (K, 1)."""
+    return _numbers(readout, lambda reading: reading.response)
+
+
+def _darks_e(readout: Readout, integration_s: float) -> Array:
+    """Return the mean dark charge of each reading, (K, 1)."""
+    return _numbers(readout, lambda reading: reading.dark_e(integration_s))
+
+
+def _limits_e(readout: Readout) -> tuple[Array, Array]:
+    """Return the limit of each reading, and the charge below which it is valid, (K, 1) each; the
+    last one always is.
+    """
     sigmas = readout.merge.validity_sigmas
-    below_e = [reading.valid_below_e(sigmas) for reading in readout.readings[:-1]]
-    return [*below_e, math.inf]
+    below_e = _numbers(readout, lambda reading: reading.valid_below_e(sigmas))
+    below_e[-1] = math.inf
+    return _numbers(readout, lambda reading: reading.limit_e), below_e
 
 
-def _share_of_reading(
-    charge_e: Array, reading: Reading, below_e: float, merge: ReadoutOptions
-) -> NDArray[Any]:
-    """Return the share, 0 to 1, that a reading has of what less sensitive ones would have, where
-    all more sensitive ones are not valid.
+def _charges_e(readout: Readout, level_e: Array, integration_s: float) -> Array:
+    """Return the mean charges of the readings with dark charge, (K, n), at levels (n,)."""
+    return _responses(readout) * level_e + _darks_e(readout, integration_s)
+
+
+def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> Array:
+    """Return the charges of the codes of readings, with dark charge, (K, n).
+
+    codes : of each reading, (...)
     """
-    is_valid = charge_e < below_e
-    if merge.merge != "blend" or math.isinf(below_e):
-        return np.asarray(is_valid)
-
-    from_e, to_e = (
-        share * reading.limit_e for share in (merge.blend_from_share, merge.blend_to_share)
-    )
-    return np.asarray(np.clip((to_e - charge_e) / (to_e - from_e), 0.0, 1.0) * is_valid)
+    charges_e = []
+    for code, reading in zip(codes, readout.readings, strict=True):
+        adc = reading.readout.adc
+        signal_dn = adc.levels_of(code).ravel() - adc.black_level_dn
+        charges_e.append(signal_dn / reading.readout.dn_per_e)
+    return np.stack(charges_e)
 
 
-def _shares(readout: Readout, charges_e: Sequence[Array]) -> list[NDArray[Any]]:
-    """Return `_share_of_reading` of all readings, (...) each; the last one has a share of 1.
+def _shares(readout: Readout, charges_e: Array) -> NDArray[Any]:
+    """Return the share, 0 to 1, that each reading has of what is left by more sensitive ones,
+    (K, n); that of the last one is 1.
 
-    charges_e : of each reading with its dark charge, (...)
+    charges_e : of the readings with their dark charge, (K, n)
     """
-    return [
-        _share_of_reading(charge_e, reading, below_e, readout.merge)
-        for charge_e, reading, below_e in zip(
-            charges_e, readout.readings, _valid_below_e(readout), strict=True
-        )
-    ]
+    merge = readout.merge
+    limit_e, below_e = _limits_e(readout)
+    is_valid = charges_e < below_e
+    if merge.merge != "blend":
+        return is_valid
+    from_e = merge.blend_from_share * limit_e
+    to_e = merge.blend_to_share * limit_e
+    share = is_valid * np.clip((to_e - charges_e) / (to_e - from_e), 0.0, 1.0)
+    share[-1] = 1.0
+    return np.asarray(share)
+
+
+def _nested(share: NDArray[Any], parts: Array) -> Array:
+    """Return parts of the readings, (K, ...), merged by their shares of what is left, (K, n)."""
+    result = share[-1] * parts[-1]
+    for number in reversed(range(len(share) - 1)):
+        result = result + share[number] * (parts[number] - result)
+    return result
 
 
 def merge_weights(
-    readout: Readout, charges_e: Sequence[Array], integration_s: float, pilot_e: Array | None
-) -> list[Array]:
-    """Return the weights of the readings, (...) each, whose sum is 1.
+    readout: Readout, charges_e: Array, integration_s: float, pilot_e: Array
+) -> Array:
+    """Return the weights of the readings, (K, n), whose sum is 1.
 
-    charges_e : of each reading with its dark charge, (...)
+    charges_e : of the readings with their dark charge, (K, n)
     integration_s : of one exposure
-    pilot_e : electrons of the first collector, for 'max_likelihood'; else None
+    pilot_e : electrons of the first collector, (n,), for 'max_likelihood'
     """
-    shares = _shares(readout, charges_e)
-    if pilot_e is not None:
-        return _likelihood_weights(readout, shares, pilot_e, integration_s)
+    share = _shares(readout, charges_e)
+    numbers = np.arange(len(share))
+    if readout.merge.merge != "max_likelihood":
+        return _nested(share, np.eye(numbers.size)[..., None])
 
-    weights = []
-    left: Array | float = 1.0
-    for share in shares:
-        weights.append(left * share)
-        left = left * (1.0 - share)
-    return weights
-
-
-def _likelihood_weights(
-    readout: Readout, valid: Sequence[Array], level_e: Array, integration_s: float
-) -> list[Array]:
-    """Return C⁻¹1/(1ᵀC⁻¹1) of the valid readings, (...) each.
-
-    valid : 1 or 0 for each reading, (...)
-    level_e : electrons of the first collector, (...)
-    """
-    covariance = covariances_e2(readout, np.maximum(level_e, 0.0).ravel(), integration_s)
+    # C⁻¹1/(1ᵀC⁻¹1) of the valid readings.
+    covariance = covariances_e2(readout, np.maximum(pilot_e, 0.0), integration_s)
+    covariance[numbers, numbers] += np.where(share, 0.0, _UNUSED_E2)
     matrices = np.moveaxis(covariance, 2, 0)
-    for number, is_valid in enumerate(valid):
-        matrices[:, number, number] += np.where(is_valid.ravel(), 0.0, _UNUSED_E2)
-    solved = np.linalg.solve(matrices, np.ones((*matrices.shape[:2], 1)))[..., 0]
-    weights = solved / solved.sum(axis=1, keepdims=True)
-    return [weight.reshape(level_e.shape) for weight in weights.T]
+    solved = np.linalg.solve(matrices, np.ones((*matrices.shape[:2], 1)))[..., 0].T
+    return np.asarray(solved / solved.sum(axis=0))
 
 
-def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> list[Array]:
-    """Return the charges of the codes of readings, with dark charge, (...) each."""
-    return [
-        (reading.readout.adc.levels_of(code) - reading.readout.adc.black_level_dn)
-        / reading.readout.dn_per_e
-        for code, reading in zip(codes, readout.readings, strict=True)
-    ]
-
-
-def _estimates_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> list[Array]:
-    """Return the electrons of the first collector by each reading alone, (...) each."""
-    return [
-        (charge_e - reading.dark_e(integration_s)) / reading.response
-        for charge_e, reading in zip(charges_e, readout.readings, strict=True)
-    ]
-
-
-def merged_e(readout: Readout, charges_e: Sequence[Array], integration_s: float) -> Array:
-    """Return the estimate of the electrons of the first collector, (rows, columns).
-
-    charges_e : of each reading with its dark charge, (rows, columns)
-    integration_s : of one exposure
-    """
-    estimates_e = _estimates_e(readout, charges_e, integration_s)
-    if readout.merge.merge == "max_likelihood":
-        weights = frame_weights(readout, charges_e, integration_s)
-        return np.asarray(
-            sum(weight * part_e for weight, part_e in zip(weights, estimates_e, strict=True))
-        )
-    return _nested(_shares(readout, charges_e), estimates_e)
-
-
-def _nested(shares: Sequence[NDArray[Any]], estimates_e: Sequence[Array]) -> Array:
-    """Return estimates with the share of each in what the later ones make, (...)."""
-    estimate_e = estimates_e[-1]
-    for share, part_e in zip(shares[-2::-1], estimates_e[-2::-1], strict=True):
-        if share.dtype == bool:
-            estimate_e = np.where(share, part_e, estimate_e)
-        else:
-            estimate_e = estimate_e + share * (part_e - estimate_e)
-    return estimate_e
-
-
-def frame_weights(
-    readout: Readout, charges_e: Sequence[Array], integration_s: float
-) -> list[Array]:
-    """Return the weights of readings in a frame, (rows, columns) each, as `merged_e` has them.
+def merged(
+    readout: Readout,
+    codes: Sequence[NDArray[Any]],
+    integration_s: float,
+    values: Array | None = None,
+) -> Array:
+    """Return values of the readings merged in a frame, (..., rows, columns).
 
     The pilot of 'max_likelihood' is the mean over neighbours of the most sensitive valid readings.
+
+    codes : of each reading, (rows, columns)
+    integration_s : of one exposure
+    values : (K, ..., 1), or None for the estimates of the electrons of the first collector
     """
-    pilot_e = None
-    if readout.merge.merge == "max_likelihood":
-        estimates_e = _estimates_e(readout, charges_e, integration_s)
-        selected_e = _nested(_shares(readout, charges_e), estimates_e)
-        pilot_e = _neighbourhood_means(selected_e, readout.physics.layout)
-    return merge_weights(readout, charges_e, integration_s, pilot_e)
+    shape = codes[0].shape
+    charges_e = charges_of_codes_e(readout, codes)
+    estimates_e = (charges_e - _darks_e(readout, integration_s)) / _responses(readout)
+    values = estimates_e if values is None else values
+    share = _shares(readout, charges_e)
+    if readout.merge.merge != "max_likelihood":
+        result = _nested(share, values)
+    else:
+        pilot_e = _neighbourhood_means(
+            _nested(share, estimates_e).reshape(shape), readout.physics.layout
+        )
+        weights = merge_weights(readout, charges_e, integration_s, pilot_e.ravel())
+        result = sum(weight * value for weight, value in zip(weights, values, strict=True))
+    return result.reshape(*result.shape[:-1], *shape)
 
 
 def _neighbourhood_means(picture: Array, layout: Layout | None) -> Array:
     """Return the means over neighbours of the same channel, (rows, columns)."""
-    steps = (1, 1)
-    planes = 1
-    if layout is not None:
-        planes = layout.planes
-        steps = layout.period
     means = np.empty(picture.shape)
-    for plane, mean in zip(
-        np.array_split(picture, planes), np.array_split(means, planes), strict=True
-    ):
-        for row in range(steps[0]):
-            for column in range(steps[1]):
-                part = slice(row, None, steps[0]), slice(column, None, steps[1])
-                mean[part] = scipy.ndimage.uniform_filter(plane[part], _NEIGHBOURS, mode="nearest")
+    parts: Iterable[tuple[Array, Array]] = [(picture, means)]
+    if layout is not None:
+        parts = zip(layout.parts(picture), layout.parts(means), strict=True)
+    for part, mean in parts:
+        mean[...] = scipy.ndimage.uniform_filter(part, _NEIGHBOURS, mode="nearest")
     return means
 
 
@@ -200,22 +182,18 @@ def covariances_e2(
     integration_s : of one exposure
     """
     readings = readout.readings
-    covariance = np.zeros((len(readings), len(readings), level_e.size))
-    for row, first in enumerate(readings):
-        for column, second in enumerate(readings):
-            if first.collector != second.collector:
-                continue
-            capacitor_e = first.capacitor_e(integration_s)
-            shared_e2 = first.response * level_e + first.dark_e(integration_s) - capacitor_e
-            if first.overflow and second.overflow:
-                shared_e2 = shared_e2 + capacitor_e
-            if row == column:
-                shared_e2 = shared_e2 + first.noise_e**2
-                if rounding:
-                    charge_e = first.response * level_e + first.dark_e(integration_s)
-                    shared_e2 = shared_e2 + first.rounding_e2(charge_e)
-            covariance[row, column] = shared_e2 / (first.response * second.response)
-    return covariance
+    charges_e = _charges_e(readout, level_e, integration_s)
+    collectors = np.array([reading.collector for reading in readings])
+    is_shared = collectors[:, None] == collectors
+    capacitor_e = _numbers(readout, lambda reading: reading.capacitor_e(integration_s))
+    both_read_it = is_shared * np.minimum(capacitor_e, capacitor_e.T)
+    covariance = is_shared[..., None] * (charges_e - capacitor_e) + both_read_it[..., None]
+    for number, reading in enumerate(readings):
+        covariance[number, number] += reading.noise_e**2
+        if rounding:
+            covariance[number, number] += reading.rounding_e2(charges_e[number])
+    response = _responses(readout)
+    return np.asarray(covariance / (response * response.T)[..., None])
 
 
 @dataclass(frozen=True)
@@ -232,40 +210,31 @@ class MergedLevel:
     weights: Array = field(repr=False)
 
 
-def mean_weights(readout: Readout, level_e: Array, integration_s: float, first: int = 0) -> Array:
-    """Return the weights, (K, n), that a merge of the readings from `first` on has where each has
-    its mean charge; one reading alone for a merge of one.
+def mean_weights(readout: Readout, level_e: Array, integration_s: float) -> Array:
+    """Return the weights, (K, n), that a merge has where each reading has its mean charge."""
+    charges_e = _charges_e(readout, level_e, integration_s)
+    return merge_weights(readout, charges_e, integration_s, level_e)
+
+
+def _switch_charges_e(readout: Readout) -> Array:
+    """Return the charges of each reading at which its share has a step or a kink, (K, 1) or (K, 3),
+    rising; infinite of the last one.
     """
-    charges_e = [
-        reading.response * level_e + reading.dark_e(integration_s) for reading in readout.readings
-    ]
-    for number in range(first):
-        charges_e[number] = np.full(level_e.shape, math.inf)
-    pilot_e = level_e if readout.merge.merge == "max_likelihood" else None
-    return np.stack(merge_weights(readout, charges_e, integration_s, pilot_e))
-
-
-def _switch_charges_e(readout: Readout) -> list[list[float]]:
-    """Return the charges of each reading at which its share has a step or a kink, rising."""
     merge = readout.merge
-    shares = (merge.blend_from_share, merge.blend_to_share) if merge.merge == "blend" else ()
-    ends_e = [
-        sorted([below_e, *(share * reading.limit_e for share in shares)])
-        for reading, below_e in zip(readout.readings, _valid_below_e(readout), strict=True)
-    ]
-    return [*ends_e[:-1], [math.inf]]
+    limit_e, below_e = _limits_e(readout)
+    if merge.merge != "blend":
+        return below_e
+    blended_e = limit_e * [merge.blend_from_share, merge.blend_to_share]
+    return np.sort(np.hstack([below_e, np.where(np.isinf(below_e), math.inf, blended_e)]))
 
 
-def switch_levels_e(readout: Readout, integration_s: float) -> list[float]:
-    """Return the levels at which the merge of the mean charges changes its readings, rising.
-
-    integration_s : of one exposure
+def switch_levels_e(readout: Readout, integration_s: float) -> Array:
+    """Return the levels of a frame at which the merge of the mean charges changes its readings,
+    (n,), rising.
     """
-    return sorted(
-        (charge_e - reading.dark_e(integration_s)) / reading.response
-        for reading, charges_e in zip(readout.readings, _switch_charges_e(readout), strict=True)
-        for charge_e in charges_e[: None if math.isfinite(charges_e[-1]) else -1]
-    )
+    count = readout.exposures
+    light_e = _switch_charges_e(readout) - _darks_e(readout, integration_s / count)
+    return np.sort(count * (light_e / _responses(readout))[:-1], axis=None)
 
 
 def _sum_e2(weights: Array, covariance: Array) -> Array:
@@ -275,16 +244,20 @@ def _sum_e2(weights: Array, covariance: Array) -> Array:
 def level_variance_e2(
     readout: Readout, level_e: Array, integration_s: float, *, rounding: bool = True
 ) -> Array:
-    """Return the temporal variance of the estimate of levels (n,), with the weights of the mean;
-    NaN beyond the limit of the last reading.
+    """Return the temporal variance of the estimate of levels (n,) of a frame, with the weights of
+    the mean; NaN beyond the limit of the last reading.
 
-    level_e : mean electrons of light of the first collector in an exposure
+    level_e : mean electrons of light of the first collector in a frame
+    integration_s : of a frame
     """
+    count = readout.exposures
+    level_e = level_e / count
+    integration_s = integration_s / count
     weights = mean_weights(readout, level_e, integration_s)
     covariance = covariances_e2(readout, level_e, integration_s, rounding)
     last = readout.readings[-1]
     is_full = last.response * level_e + last.dark_e(integration_s) > last.limit_e
-    return np.where(is_full, np.nan, _sum_e2(weights, covariance))
+    return np.where(is_full, np.nan, count * _sum_e2(weights, covariance))
 
 
 def merged_level(
@@ -293,117 +266,88 @@ def merged_level(
     """Return mean and variance of the estimate of levels (n,), with the choice of readings by their
     noisy charges.
 
-    At a switch the estimate is B + a(x)(A - B): x the charge that decides, a its share, A and B
-    sums of readings with it and without it. All are normal, so that one integral over x has mean
-    and variance; the bias is E[a′] cov(x, A - B) (Stein, Ann. Stat. 9 (1981) 1135). Few full
-    readings pass as valid, Φ(-validity_sigmas) of them, but err by all that the limit cuts off.
+    The first reading that may be below its last switch decides; more sensitive ones are full, and
+    the others have their mean charge. With weights w(z) at the charge that decides, z deviations
+    from its mean, and p the covariance of all readings with z, the estimate is normal around
+    w(z)·p z, so that one integral over z has its mean and variance. Few full readings pass as
+    valid, Φ(-validity_sigmas) of them, but err by all that the limit cuts off.
 
     passing : whether these count, which are too few for a normal law
     """
-    readings = readout.readings
-    below_e = _valid_below_e(readout)
+    charges_e = _charges_e(readout, level_e, integration_s)
     covariance = covariances_e2(readout, level_e, integration_s)
-    count = len(readings)
-    bias_e = np.zeros(level_e.size)
-    variance_e2 = np.zeros(level_e.size)
-    weights = np.zeros((count, level_e.size))
-    is_open = np.ones(level_e.size, bool)
-    for number, ends_e in enumerate(_switch_charges_e(readout)):
-        reading = readings[number]
-        sigma_e = reading.response * np.sqrt(covariance[number, number])
-        charge_e = reading.response * level_e + reading.dark_e(integration_s)
-        decides = is_open & (charge_e - _REACH * sigma_e < ends_e[-1])
-        is_open = is_open & ~decides
-        part = np.flatnonzero(decides)
-        if not part.size:
-            continue
+    numbers = np.arange(len(charges_e))[:, None]
+    sigmas_e = _responses(readout) * np.sqrt(np.einsum("kkn->kn", covariance))
+    switches_e = _switch_charges_e(readout)
+    decides = np.argmax(charges_e - _REACH * sigmas_e < switches_e[:, -1:], axis=0)
+    at = decides, np.arange(level_e.size)
+    z, density = _normal_nodes(charges_e[at], sigmas_e[at], switches_e[decides].T)
 
-        without_e = mean_weights(readout, level_e[part], integration_s, min(number + 1, count - 1))
-        with_e = _weights_with(readout, level_e[part], integration_s, number, without_e)
-        z, density = _normal_nodes(charge_e[part], sigma_e[part], ends_e)
-        share = _share_of_reading(
-            charge_e[part, None] + sigma_e[part, None] * z, reading, below_e[number], readout.merge
-        )
+    # Charges and weights of all readings at each charge that decides, (K, panels, n, nodes).
+    others_e = np.where(numbers < decides, math.inf, charges_e)[:, None, :, None]
+    decides_e = charges_e[at][:, None] + sigmas_e[at][:, None] * z
+    node_charges_e = np.where((numbers == decides)[:, None, :, None], decides_e, others_e)
+    node_level_e = np.broadcast_to(level_e[:, None], z.shape)
+    weights = merge_weights(
+        readout, node_charges_e.reshape(len(numbers), -1), integration_s, node_level_e.ravel()
+    ).reshape(node_charges_e.shape)
 
-        # Weights at each charge, their slope with it, and the variance that it leaves.
-        merged = without_e[:, None, :, None] + share * (with_e - without_e)[:, None, :, None]
-        part_covariance = covariance[:, :, part]
-        per_sigma = part_covariance[number] / np.sqrt(part_covariance[number, number])
-        slope = np.einsum("kpnm,kn->pnm", merged, per_sigma)
-        total_e2 = np.einsum("kpnm,kln,lpnm->pnm", merged, part_covariance, merged)
-        bias_e[part] = (density * z * slope).sum(axis=(0, 2))
-        square = density * ((z**2 - 1) * slope**2 + total_e2)
-        variance_e2[part] = square.sum(axis=(0, 2)) - bias_e[part] ** 2
-        weights[:, part] = (density * merged).sum(axis=(1, 3))
-
-    for number in range(count - 1 if passing else 0):
-        share_passing, error_e = _passing(readout, level_e, integration_s, number, below_e[number])
-        bias_e += share_passing * error_e
-        variance_e2 += share_passing * error_e**2
-    return MergedLevel(bias_e, variance_e2, weights)
+    per_sigma = covariance[:, at[0], at[1]] / np.sqrt(covariance[at[0], at[0], at[1]])
+    slope = np.einsum("kpnm,kn->pnm", weights, per_sigma)
+    total_e2 = np.einsum("kpnm,kln,lpnm->pnm", weights, covariance, weights)
+    bias_e = (density * z * slope).sum(axis=(0, 2))
+    square = density * ((z**2 - 1) * slope**2 + total_e2)
+    variance_e2 = square.sum(axis=(0, 2)) - bias_e**2
+    for number in range(len(numbers) - 1 if passing else 0):
+        share, error_e = _passing(readout, level_e, integration_s, number)
+        bias_e += share * error_e
+        variance_e2 += share * error_e**2
+    return MergedLevel(bias_e, variance_e2, (density * weights).sum(axis=(1, 3)))
 
 
 def _passing(
-    readout: Readout, level_e: Array, integration_s: float, number: int, below_e: float
+    readout: Readout, level_e: Array, integration_s: float, number: int
 ) -> tuple[Array, Array]:
     """Return the share of pixels, (n,), in which a full reading passes as valid by noise and
     offsets behind its limit, and the error of the estimate there.
 
     number : of the reading
-    below_e : charge of its codes below which it is valid
     """
     reading = readout.readings[number]
-    charge_e = reading.response * level_e + reading.dark_e(integration_s)
-    is_full = scipy.special.ndtr((charge_e - reading.limit_e) / np.sqrt(np.maximum(charge_e, 1.0)))
+    adc = reading.readout.adc
+    limit_e = reading.limit_e
+    below_e = float(_limits_e(readout)[1][number, 0])
+    charges_e = _charges_e(readout, level_e, integration_s)
+    deviation_e = np.sqrt(np.maximum(charges_e[number], 1.0))
+    is_full = scipy.special.ndtr((charges_e[number] - limit_e) / deviation_e)
 
     # The last code that is valid holds charges up to half a code above it.
-    black_dn = reading.readout.adc.black_level_dn
     dn_per_e = reading.readout.dn_per_e
-    first_invalid_dn = math.ceil(below_e * dn_per_e + black_dn)
-    end_e = (first_invalid_dn - 0.5 - black_dn) / dn_per_e
+    first_invalid_dn = math.ceil(below_e * dn_per_e + adc.black_level_dn)
+    end_e = (first_invalid_dn - 0.5 - adc.black_level_dn) / dn_per_e
     spread_e = max(reading.spread_e, 1e-9)
-    z = (end_e - reading.limit_e) / spread_e
+    z = (end_e - limit_e) / spread_e
     passing = float(scipy.special.ndtr(z))
-    if passing < _MIN_PASSING:
-        return np.zeros(level_e.shape), np.zeros(level_e.shape)
 
+    # Their mean, before it is rounded, is that of the tail of a normal law.
     density = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
-    read_e = np.array([reading.limit_e - spread_e * density / passing])
-    read_e = np.minimum(read_e, np.nextafter(below_e, 0.0))  # before it was rounded
-    share = float(_share_of_reading(read_e, reading, below_e, readout.merge)[0])
-    without_e = mean_weights(readout, level_e, integration_s, number + 1)
-    with_e = _weights_with(readout, level_e, integration_s, number, without_e)
-    estimate_e = (read_e - reading.dark_e(integration_s)) / reading.response
-    return passing * is_full, share * with_e[number] * np.minimum(estimate_e - level_e, 0.0)
+    read_e = limit_e - spread_e * density / max(passing, _MIN_PASSING)
+    charges_e[:number] = math.inf
+    charges_e[number] = min(read_e, math.nextafter(below_e, 0.0))
+    weight = merge_weights(readout, charges_e, integration_s, level_e)[number]
+    estimate_e = (charges_e[number] - reading.dark_e(integration_s)) / reading.response
+    return passing * is_full, weight * np.minimum(estimate_e - level_e, 0.0)
 
 
-def _weights_with(
-    readout: Readout, level_e: Array, integration_s: float, number: int, others: Array
-) -> Array:
-    """Return the weights of the readings from `number` on, where that one is valid, (K, n).
-
-    others : the weights where it is not
-    """
-    alone = np.zeros(others.shape)
-    alone[number] = 1.0
-    if readout.merge.merge != "max_likelihood":
-        return alone
-    valid = [
-        np.full(level_e.shape, float(index == number)) + (others[index] > _MIN_WEIGHT)
-        for index in range(len(readout.readings))
-    ]
-    return np.stack(_likelihood_weights(readout, valid, level_e, integration_s))
-
-
-def _normal_nodes(charge_e: Array, sigma_e: Array, ends_e: Sequence[float]) -> tuple[Array, Array]:
+def _normal_nodes(charge_e: Array, sigma_e: Array, ends_e: Array) -> tuple[Array, Array]:
     """Return nodes in deviations of a normal charge, (panels, n, nodes), and their weights.
 
     charge_e, sigma_e : mean and deviation of the charge, (n,)
-    ends_e : charges at which panels end
+    ends_e : charges at which panels end, (panels - 1, n)
     """
-    inner = [np.clip((end_e - charge_e) / sigma_e, -_REACH, _REACH) for end_e in ends_e]
-    lowest = np.full(charge_e.shape, -_REACH)
-    edges = np.stack([lowest, *inner, -lowest])
+    inner = np.clip((ends_e - charge_e) / sigma_e, -_REACH, _REACH)
+    edges = np.pad(inner, ((1, 0), (0, 0)), constant_values=-_REACH)
+    edges = np.pad(edges, ((0, 1), (0, 0)), constant_values=_REACH)
     half = np.diff(edges, axis=0)[..., None] / 2
     z = edges[:-1, :, None] + half * (1 + _NODES)
     density = half * _NODE_WEIGHTS * np.exp(-(z**2) / 2)
@@ -419,24 +363,23 @@ def fixed_pattern_e2(
     integration_s : of a frame
     weights : of the readings, (K, n)
     """
-    readings = readout.readings
-    frames = [reading.readout.burst(readout.exposures) for reading in readings]
-    response = np.array([reading.response for reading in readings])[:, None]
-    diodes = np.array([reading.photodiode for reading in readings])
-    gain = np.array([frame.prnu for frame in frames])[:, None] * level_e
-    dark = [frame.dark_spread.deviation * frame.dark_current_e_per_s for frame in frames]
-    offset = [frame.offset_e for frame in frames]
-    patterns_e = gain, integration_s * np.array(dark)[:, None] / response
-    dark_e = np.array([reading.dark_e(integration_s) for reading in readings])[:, None]
-    spread = np.array([math.hypot(*reading.gain_spreads) for reading in readings])[:, None]
-    scatter_e = weights * spread * (level_e + dark_e / response)
-    return np.asarray(
-        (scatter_e**2).sum(axis=0)
-        + sum(
-            _sum_shared_e2(weights * pattern_e, diodes)
-            for pattern_e in (*patterns_e, np.array(offset)[:, None] / response)
-        )
+    response = _responses(readout)
+    patterns_e = (
+        _numbers(readout, lambda reading: reading.readout.prnu) * level_e,
+        integration_s * _numbers(readout, _dark_spread_e_per_s) / response,
+        _numbers(readout, lambda reading: reading.readout.burst(readout.exposures).offset_e)
+        / response,
     )
+    diodes = np.array([reading.photodiode for reading in readout.readings])
+    spread = _numbers(readout, lambda reading: math.hypot(*reading.gain_spreads))
+    scatter_e = weights * spread * (level_e + _darks_e(readout, integration_s) / response)
+    shared_e2 = sum(_sum_shared_e2(weights * pattern_e, diodes) for pattern_e in patterns_e)
+    return np.asarray((scatter_e**2).sum(axis=0) + shared_e2)
+
+
+def _dark_spread_e_per_s(reading: Reading) -> float:
+    readout = reading.readout
+    return readout.dark_spread.deviation * readout.dark_current_e_per_s
 
 
 def _sum_shared_e2(parts_e: Array, sources: NDArray[np.int_]) -> Array:
@@ -456,22 +399,19 @@ def line_variance_e2(
     if not readout.readings:
         return variance_e2(readout, along=along)
     count = readout.exposures
-    offsets_e = np.array(
-        [
-            constant_e(reading.readout.burst(count), along=along) / reading.response
-            for reading in readout.readings
-        ]
-    )
-    if not offsets_e.any():
-        return 0.0
+
+    def offset_e(reading: Reading) -> float:
+        return constant_e(reading.readout.burst(count), along=along) / reading.response
+
     # Rows have others in each reading, columns those of the photodiode.
-    sources = np.arange(offsets_e.size)
-    if along == "column":
-        sources = np.array([reading.photodiode for reading in readout.readings])
+    sources = [
+        reading.photodiode if along == "column" else number
+        for number, reading in enumerate(readout.readings)
+    ]
 
     def at(level_e: Array) -> Array:
         weights = mean_weights(readout, level_e / count, integration_s / count)
-        return _sum_shared_e2(weights * offsets_e[:, None], sources)
+        return _sum_shared_e2(weights * _numbers(readout, offset_e), np.array(sources))
 
     return by_level(at, signal_e)
 
@@ -515,15 +455,15 @@ def merged_variance_e2(
 
 
 def estimated_variance_e2(
-    readout: Readout, estimate_e: Array, integration_s: float, weights: Sequence[Array]
+    readout: Readout, estimate_e: Array, integration_s: float, weights: Array
 ) -> Array:
     """Return the variance of an estimate (rows, columns) by the estimate itself, as if the weights
     were not chosen by it.
 
-    weights : of each reading, (rows, columns)
+    weights : of each reading, (K, rows, columns)
     """
     count = readout.exposures
     level_e = np.maximum(estimate_e, 0.0).ravel() / count
     covariance = covariances_e2(readout, level_e, integration_s / count)
-    stacked = np.stack([weight.ravel() for weight in weights])
-    return count * _sum_e2(stacked, covariance).reshape(estimate_e.shape)
+    flat_weights = weights.reshape(len(weights), -1)
+    return count * _sum_e2(flat_weights, covariance).reshape(estimate_e.shape)

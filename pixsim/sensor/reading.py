@@ -418,32 +418,27 @@ def _dark_margin_dn(readout: Readout, integration_s: float) -> float:
 class Reading:
     """One of several readings of a pixel, in one exposure.
 
-    name : as in `Frame.readings`
+    stated : its settings
     readout : of its collector up to its limit, which is the full well there, with the dark current
         and the noise of this reading
     collector : number of the collector; readings of one collector share its electrons
     photodiode : number of the photodiode; collectors of one share its fixed pattern
     response : light that the collector gets in a frame, over the light of the first one: area, time
         and filter
-    overflow : whether it reads the overflow capacitor, too
     capacitor_dark_e_per_s : dark current of the capacitor, if it reads it
-    gain_spread, column_gain_spread : standard deviation of its gain over pixels and over columns,
-        relative
-    gain_error, black_error_dn : errors of its gain, relative, and of its black level, of which the
-        merge does not know
     """
 
-    name: str
+    stated: ReadingOptions
     readout: Readout
-    collector: int
-    photodiode: int
+    collector: int = 0
+    photodiode: int = 0
     response: float = 1.0
-    overflow: bool = False
     capacitor_dark_e_per_s: float = 0.0
-    gain_spread: float = 0.0
-    column_gain_spread: float = 0.0
-    gain_error: float = 0.0
-    black_error_dn: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """As in `Frame.readings`."""
+        return self.stated.name
 
     @property
     def limit_e(self) -> float:
@@ -460,7 +455,7 @@ class Reading:
         """Standard deviation of its gain over pixels and over columns, which count as PRNU."""
         if "PRNU" in self.readout.silent:
             return 0.0, 0.0
-        return self.gain_spread, self.column_gain_spread
+        return self.stated.gain_spread, self.stated.column_gain_spread
 
     @property
     def spread_e(self) -> float:
@@ -500,7 +495,7 @@ def with_merge(readout: Readout) -> Readout:
     """Return a readout that has its readings; of a pixel that is read once, that reading."""
     if readout.readings:
         return readout
-    once = Reading("pixel", readout, collector=0, photodiode=0)
+    once = Reading(ReadingOptions(name="pixel", collector="pixel"), readout)
     return replace(readout, readings=(once,))
 
 
@@ -513,130 +508,96 @@ def _with_readings(readout: Readout, options: ReadoutOptions) -> Readout:
     """
     collectors, readings = options.model
     physics = readout.physics
-
-    physics_of = [_collector_physics(physics, collector) for collector in collectors]
     # Exposures of one photodiode differ in their start and length alone.
-    exposure_fields = "name", "start_s", "start_share", "length_share"
-    diodes = [collector.model_dump(exclude=set(exposure_fields)) for collector in collectors]
-    numbers = {collector.name: number for number, collector in enumerate(collectors)}
+    exposure_fields = {"name", "start_s", "start_share", "length_share"}
+    diodes = [collector.model_dump(exclude=exposure_fields) for collector in collectors]
 
     made: list[Reading] = []
-    for reading in readings:
-        number = numbers[reading.collector]
-        collector = collectors[number]
-        siblings = [other for other in readings if other.collector == reading.collector]
-        limit_e = _limit_e(reading, siblings, collector, physics_of[number])
-        made.append(
-            Reading(
-                name=reading.name,
-                readout=_reading_readout(
-                    readout, reading, readings[0], physics_of[number], limit_e
-                ),
-                collector=number,
-                photodiode=diodes.index(diodes[number]),
-                response=collector.response * collector.length_share,
-                overflow=reading.overflow,
-                capacitor_dark_e_per_s=(
-                    physics.growth * collector.capacitor_dark_e_per_s if reading.overflow else 0.0
-                ),
-                gain_spread=reading.gain_spread,
-                column_gain_spread=reading.column_gain_spread,
-                gain_error=reading.gain_error,
-                black_error_dn=reading.black_error_dn,
+    for number, collector in enumerate(collectors):
+        collected = _collected(physics, collector)
+        siblings = [reading for reading in readings if reading.collector == collector.name]
+        for reading in siblings:
+            limit_e = _limit_e(reading, siblings, collector, collected)
+            capacitor_dark_e_per_s = physics.growth * collector.capacitor_dark_e_per_s
+            made.append(
+                Reading(
+                    stated=reading,
+                    readout=_read(readout, reading, readings[0], limit_e, collected),
+                    collector=number,
+                    photodiode=diodes.index(diodes[number]),
+                    response=collector.response * collector.length_share,
+                    capacitor_dark_e_per_s=capacitor_dark_e_per_s * reading.overflow,
+                )
             )
-        )
     made.sort(key=lambda reading: reading.limit_e / reading.response)
-    base = made[0].readout
-    whole = replace(base.physics, full_well_e=physics_of[made[0].collector].full_well_e)
-    return replace(base, physics=whole, readings=tuple(made), merge=options)
+    first = made[0]
+    collected = _collected(physics, collectors[first.collector])
+    whole = replace(first.readout.physics, full_well_e=collected.full_well_e)
+    return replace(first.readout, physics=whole, readings=tuple(made), merge=options)
 
 
-def _collector_physics(physics: PixelPhysics, collector: CollectorOptions) -> PixelPhysics:
+def _collected(physics: PixelPhysics, collector: CollectorOptions) -> PixelPhysics:
     """Return the pixel with the numbers of a collector, and the dark charge of its exposure."""
-    growth = physics.growth
-    full_well_e = physics.full_well_e
-    if collector.full_well_e is not None:
-        full_well_e = growth * collector.full_well_e
-    dark_e_per_s = physics.dark_current_e_per_s
-    if collector.dark_current_e_per_s is not None:
-        dark_e_per_s = growth * collector.dark_current_e_per_s
-    return replace(
-        physics,
-        full_well_e=full_well_e,
-        dark_current_e_per_s=dark_e_per_s * collector.length_share,
-        prnu=physics.prnu if collector.prnu is None else collector.prnu,
-        dsnu=physics.dsnu if collector.dsnu is None else collector.dsnu,
-    )
+    charges = collector.model_dump(include={"full_well_e", "dark_current_e_per_s"})
+    numbers = {name: physics.growth * e for name, e in charges.items() if e is not None}
+    numbers |= collector.model_dump(include={"prnu", "dsnu"}, exclude_none=True)
+    stated = replace(physics, **numbers)
+    dark_e_per_s = stated.dark_current_e_per_s * collector.length_share
+    return replace(stated, dark_current_e_per_s=dark_e_per_s)
 
 
 def _limit_e(
     reading: ReadingOptions,
     siblings: Sequence[ReadingOptions],
     collector: CollectorOptions,
-    physics: PixelPhysics,
+    collected: PixelPhysics,
 ) -> float:
-    """Return the largest charge that a reading can read of a pixel's collector.
+    """Return the largest charge that a reading can read of its collector.
 
     siblings : all readings of the collector, whose lowest conversion gain has the voltage of the
         full collector
     """
-    capacity_e = physics.growth * collector.capacity_e
-    held_e = physics.full_well_e + capacity_e * reading.overflow
+    growth = collected.growth
+    full_well_e = collected.full_well_e
+    capacity_e = growth * collector.capacity_e
+    held_e = full_well_e + capacity_e * reading.overflow
     if reading.limit_e is not None:
-        return min(held_e, physics.growth * reading.limit_e)
+        return min(held_e, growth * reading.limit_e)
 
-    gains = [other.conversion_gain_uv_per_e or math.nan for other in siblings]
-    largest_e = physics.full_well_e + capacity_e * any(other.overflow for other in siblings)
-    limit_e = largest_e * min(gains) / (reading.conversion_gain_uv_per_e or math.nan)
-    return held_e if math.isnan(sum(gains)) else min(held_e, limit_e)
+    # NaN without a conversion gain.
+    largest_e = full_well_e + capacity_e * any(other.overflow for other in siblings)
+    gains = np.array([other.conversion_gain_uv_per_e for other in siblings], float)
+    limit_e = largest_e * gains.min() / gains[siblings.index(reading)]
+    return float(np.fmin(held_e, limit_e))
 
 
-def _reading_readout(
+def _read(
     readout: Readout,
     reading: ReadingOptions,
     first: ReadingOptions,
-    physics: PixelPhysics,
     limit_e: float,
+    collected: PixelPhysics,
 ) -> Readout:
-    """Return how one reading reads its collector.
+    """Return how one reading reads its collector up to a limit.
 
     readout : what the pixel states; its gain belongs to the first reading
-    physics : of the collector
     """
+    stated = reading.model_dump(include={"bits", "black_level_dn"}, exclude_none=True)
+    adc = replace(readout.adc, **stated)
     gain_uv_per_e = reading.conversion_gain_uv_per_e
-    reset_e = physics.reset_noise_e
-    if reading.resets is not None:
-        if reading.resets and gain_uv_per_e is None:
-            raise invalid(
-                "readout.reading.resets",
-                f"{reading.resets:g} of '{reading.name}' without its conversion gain",
-                "both, since the reset noise is that of the capacitance q over the gain",
-            )
-        capacitance_ff = 0.0 if gain_uv_per_e is None else _FF_UV * ELECTRON_C / gain_uv_per_e
-        reset_e = reset_noise_e(capacitance_ff, physics.pixel.temperature_k, reading.resets)
-    physics = replace(physics, full_well_e=limit_e, reset_noise_e=reset_e)
-
-    adc = readout.adc
-    changes: dict[str, Any] = {}
     if adc.gain_e_per_dn is None:
-        changes["span_e"] = readout._pixels * limit_e
+        adc = replace(adc, span_e=readout.bin_side**2 * limit_e)
     elif gain_uv_per_e is not None and first.conversion_gain_uv_per_e is not None:
         ratio = first.conversion_gain_uv_per_e / gain_uv_per_e
-        changes["gain_e_per_dn"] = adc.gain_e_per_dn * ratio
-    if reading.bits is not None:
-        changes["bits"] = reading.bits
-    if reading.black_level_dn is not None:
-        stated = {"black_level_dn": reading.black_level_dn}
-        changes |= stated
-        physics = replace(physics, pixel=physics.pixel.model_copy(update=stated))
+        adc = replace(adc, gain_e_per_dn=adc.gain_e_per_dn * ratio)
 
-    before_e, after_e = readout.read_noise_e, readout.read_noise_after_gain_e
+    reset_e = collected.reset_noise_e
+    if reading.resets is not None and gain_uv_per_e is not None:
+        capacitance_ff = _FF_UV * ELECTRON_C / gain_uv_per_e
+        reset_e = reset_noise_e(capacitance_ff, collected.pixel.temperature_k, reading.resets)
+    noise: dict[str, Any] = {}
     if reading.read_noise_e is not None:
-        before_e, after_e = reading.read_noise_e, 0.0
-    return replace(
-        readout,
-        physics=physics,
-        adc=replace(adc, **changes),
-        read_noise_e=before_e,
-        read_noise_after_gain_e=after_e,
-    )._with_black_level()
+        noise = {"read_noise_e": reading.read_noise_e, "read_noise_after_gain_e": 0.0}
+    pixel = collected.pixel.model_copy(update=stated)
+    physics = replace(collected, pixel=pixel, full_well_e=limit_e, reset_noise_e=reset_e)
+    return replace(readout, physics=physics, adc=adc, **noise)._with_black_level()

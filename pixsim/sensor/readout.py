@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,13 +36,7 @@ from pixsim.sensor.integration import (
     moved_signals,
     pixels_on,
 )
-from pixsim.sensor.merge import (
-    charges_of_codes_e,
-    estimated_variance_e2,
-    frame_weights,
-    merged_e,
-    merged_variance_e2,
-)
+from pixsim.sensor.merge import estimated_variance_e2, merged, merged_variance_e2
 from pixsim.sensor.motion import ImageMotion, motion_in_frame, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
@@ -63,7 +57,7 @@ from pixsim.sensor.quantities import (
     Pitch,
     SaturatedFraction,
 )
-from pixsim.sensor.reading import Reading, Readout
+from pixsim.sensor.reading import Reading, Readout, with_merge
 from pixsim.sensor.technology import load_technology
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal
@@ -174,7 +168,7 @@ class Sensor:
     dark_gain : (rows, columns) dark current relative to the mean pixel, positive, mean 1
     offset_e : (rows, columns)
     column_offset_e : (1, columns)
-    gain_errors : (rows, columns) of each reading whose gain scatters, relative; None of others
+    gain_errors : (rows, columns), relative, of each reading whose gain scatters, by its name
     further : the sensors of further photodiodes of each pixel, if it has several; without their
         own
     """
@@ -185,8 +179,13 @@ class Sensor:
     dark_gain: Array | None = field(repr=False)
     offset_e: Array | None = field(repr=False)
     column_offset_e: Array | None = field(repr=False)
-    gain_errors: tuple[Array | None, ...] = field(default=(), repr=False)
+    gain_errors: dict[str, Array] = field(default_factory=dict, repr=False)
     further: tuple[Sensor, ...] = field(default=(), repr=False)
+
+    @property
+    def diodes(self) -> tuple[Sensor, ...]:
+        """The sensors of all photodiodes of each pixel, by their numbers."""
+        return (self, *self.further)
 
 
 def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.Generator) -> Sensor:
@@ -223,21 +222,13 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
         _draw_gaussian(column_spread_e, column_offset_e, rng)
     diodes = {reading.photodiode: reading.readout for reading in reversed(readout.readings)}
     further = tuple(sample_sensor(diodes[number], shape, rng) for number in sorted(diodes)[1:])
-    gain_errors = tuple(_gain_errors(reading, shape, rng) for reading in readout.readings)
+    gain_errors = {}
+    for reading in readout.readings:
+        pixel_spread, column_spread = reading.gain_spreads
+        if pixel_spread or column_spread:
+            columns = column_spread * rng.standard_normal(shape[1])
+            gain_errors[reading.name] = columns + pixel_spread * rng.standard_normal(shape)
     return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e, gain_errors, further)
-
-
-def _gain_errors(
-    reading: Reading, shape: tuple[int, int], rng: np.random.Generator
-) -> Array | None:
-    """Draw how far the gains of a reading are off their mean, (rows, columns), relative; None if
-    they do not scatter.
-    """
-    pixel_spread, column_spread = reading.gain_spreads
-    if not (pixel_spread or column_spread):
-        return None
-    columns = column_spread * rng.standard_normal(shape[1])
-    return np.asarray(columns + pixel_spread * rng.standard_normal(shape))
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -414,7 +405,7 @@ class MergedFrame(Frame):
         noise, dark charge, read noise and rounding. It takes the weights as stated, not as chosen
         by noise.
         """
-        weights = list(self.reading_weights.values())
+        weights = np.stack(list(self.reading_weights.values()))
         return estimated_variance_e2(self.readout, self.estimate_e, self.integration_s, weights)
 
     @cached_property
@@ -423,9 +414,9 @@ class MergedFrame(Frame):
         mean of its codes.
         """
         codes = [code / self.exposures for code in self.readings.values()]
-        charges_e = charges_of_codes_e(self.readout, codes)
+        one_for_each = np.eye(len(codes))[..., None]
         time_s = self.integration_s / self.exposures
-        weights = frame_weights(self.readout, charges_e, time_s)
+        weights = merged(self.readout, codes, time_s, one_for_each)
         return dict(zip(self.readings, weights, strict=True))
 
 
@@ -515,18 +506,62 @@ def _expose(
     them.
 
     subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
-
-    A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn
-    before its read noise.
     """
+    _check_shape(mean_e, sensor)
     if sensor.readout.exposures > 1:
         return _expose_burst(mean_e, integration_s, sensor, rng, subexposures_e)
+    (dn,), saturated, fraction = _expose_once(mean_e, integration_s, sensor, rng)
+    return dn, saturated, fraction
 
+
+def _expose_readings(
+    mean_e: Array,
+    integration_s: float,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    subexposures_e: Sequence[Array] = (),
+) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the codes of all readings, (K, rows, columns), the merged photo-electrons, and which
+    pixels are full in the last reading, (rows, columns) each; of a burst, sums over its
+    subexposures.
+
+    subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
+    """
     _check_shape(mean_e, sensor)
     readout = sensor.readout
+    count = readout.exposures
+    time_s = integration_s / count
+    total_dn = np.zeros((len(readout.readings), *mean_e.shape), np.int32)
+    estimate_e = np.zeros(mean_e.shape, np.float32)
+    saturated = np.zeros(mean_e.shape, bool)
+    # Neighbours of a row belong to the merge of maximum likelihood.
+    parts = [slice(None)]
+    if readout.merge.merge != "max_likelihood":
+        parts = [*strips(*mean_e.shape)]
+
+    for photo_e in subexposures_e or [mean_e if count == 1 else mean_e / count] * count:
+        dn, is_full, _ = _expose_once(photo_e, time_s, sensor, rng)
+        total_dn += dn
+        saturated |= is_full
+        for rows in parts:
+            estimate_e[rows] += merged(readout, [*dn[:, rows]], time_s)
+    return total_dn, estimate_e, saturated
+
+
+def _expose_once(
+    mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator
+) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
+    """Return the codes of all readings in one exposure, (K, rows, columns), and of the last one
+    which pixels are full, (rows, columns), and the fraction that saturates.
+
+    A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn
+    before its read noise, and once for all readings of a collector.
+    """
+    readings = with_merge(sensor.readout).readings
     columns = sensor.shape[1]
-    generated_e = np.empty(mean_e.shape)
-    dn = np.empty(mean_e.shape, np.int32)
+    collectors = {reading.collector: reading for reading in reversed(readings)}
+    generated_e = {collector: np.empty(mean_e.shape) for collector in collectors}
+    dn = np.empty((len(readings), *mean_e.shape), np.int32)
     saturated = np.empty(mean_e.shape, bool)
     saturated_counts: list[int] = []
 
@@ -538,38 +573,48 @@ def _expose(
         work = np.empty((2, max(rows.stop - rows.start for rows in parts), columns))
 
         for rows in parts:
-            charge_e = _mean_charge_e(mean_e[rows], integration_s, readout, sensor, rows, work)
-            generated_e[rows] = _shot_noise(charge_e, rng)
+            for collector, reading in collectors.items():
+                charge_e = _mean_charge_e(mean_e[rows], integration_s, reading, sensor, rows, work)
+                generated_e[collector][rows] = _shot_noise(charge_e, rng)
 
         for rows in parts:
-            charge_e = generated_e[rows]
-            level = stored_signal_e(charge_e, integration_s, readout)
-            is_full, count = _read_level(
-                charge_e, level, integration_s, readout, sensor, rows, rng, dn[rows], work[0]
-            )
+            capacitors_e: dict[int, NDArray[Any]] = {}
+            for reading, codes in zip(readings, dn, strict=True):
+                charge_e = generated_e[reading.collector][rows]
+                if reading.capacitor_dark_e_per_s:
+                    if reading.collector not in capacitors_e:
+                        dark_e = np.full(charge_e.shape, reading.capacitor_e(integration_s))
+                        capacitors_e[reading.collector] = _shot_noise(dark_e, rng)
+                    charge_e = charge_e + capacitors_e[reading.collector]
+                is_full, count = _read_level(
+                    charge_e, integration_s, reading, sensor, rows, rng, codes[rows], work[0]
+                )
             saturated[rows] = is_full
             saturated_counts.append(count)
 
     _by_block(expose, mean_e.shape, rng)
-    return dn, saturated, sum(saturated_counts) / max(dn.size, 1)
+    return dn, saturated, sum(saturated_counts) / max(saturated.size, 1)
 
 
 def _mean_charge_e(
-    mean_e: Array, integration_s: float, readout: Readout, sensor: Sensor, rows: slice, work: Array
+    mean_e: Array, integration_s: float, reading: Reading, sensor: Sensor, rows: slice, work: Array
 ) -> Array:
-    """Return the mean charge of light and dark of some rows, with their fixed pattern.
+    """Return the mean charge of light and dark that a reading has in some rows, with their fixed
+    pattern.
 
-    mean_e : mean photo-electrons of these rows
-    sensor : that has the fixed pattern
+    mean_e : mean photo-electrons of these rows, of the first collector
     work : two work arrays, of as many rows or more; the first holds the result
     """
     count = rows.stop - rows.start
-    mean_dark_e = readout.dark_current_e_per_s * integration_s
+    diode = sensor.diodes[reading.photodiode]
+    mean_dark_e = reading.readout.dark_current_e_per_s * integration_s
     charge_e = work[0, :count]
-    gain = 1.0 if sensor.gain is None else sensor.gain[rows]
+    gain = 1.0 if diode.gain is None else diode.gain[rows]
     np.multiply(mean_e, gain, out=charge_e)
-    if mean_dark_e and sensor.dark_gain is not None:
-        charge_e += np.multiply(mean_dark_e, sensor.dark_gain[rows], out=work[1, :count])
+    if reading.response != 1:
+        charge_e *= reading.response
+    if mean_dark_e and diode.dark_gain is not None:
+        charge_e += np.multiply(mean_dark_e, diode.dark_gain[rows], out=work[1, :count])
     elif mean_dark_e:
         charge_e += mean_dark_e
     return charge_e
@@ -577,28 +622,23 @@ def _mean_charge_e(
 
 def _read_level(
     charge_e: Array,
-    level: Array,
     integration_s: float,
-    readout: Readout,
+    reading: Reading,
     sensor: Sensor,
     rows: slice,
     rng: np.random.Generator,
     dn: NDArray[np.int32],
     work: Array,
-    *,
-    gain_error: Array | float = 0.0,
-    black_error_dn: float = 0.0,
 ) -> tuple[NDArray[np.bool_], int]:
     """Write the codes of some rows to `dn`; return which pixels are full, and how many saturate.
 
     charge_e : generated charge of these rows
-    level : its signal level, which is overwritten
-    sensor : that has the fixed pattern
     work : a work array of as many rows or more
-    gain_error, black_error_dn : relative error of the gain, and error of the black level
     """
+    readout = reading.readout
     pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
     row_sigma_e = constant_e(readout, is_temporal=True, along="row")
+    level = stored_signal_e(charge_e, integration_s, readout)
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the
     # top code.
     is_saturating = charge_e >= saturation_level_e(integration_s, readout)
@@ -610,115 +650,22 @@ def _read_level(
         level += noise
     if row_sigma_e:
         level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
-    for offset_e in _offset_maps_e(sensor, rows):
+    for offset_e in _offset_maps_e(sensor.diodes[reading.photodiode], rows):
         level += offset_e
 
-    level *= readout.dn_per_e * (1 + gain_error)
-    if readout.adc.black_level_dn or black_error_dn:
-        level += readout.adc.black_level_dn + black_error_dn
+    gain: Array | float = 1 + reading.stated.gain_error
+    if reading.name in sensor.gain_errors:
+        gain = gain + sensor.gain_errors[reading.name][rows]
+    level *= readout.dn_per_e * gain
+    black_level_dn = readout.adc.black_level_dn + reading.stated.black_error_dn
+    if black_level_dn:
+        level += black_level_dn
     if readout.adc.knees is None:
         _quantise(level, readout.adc.bits, dn)
     else:
         dn[...] = readout.adc.codes_of(level)
     at_top = dn >= readout.adc.last_code_dn
     return is_full | at_top, int(np.count_nonzero(is_saturating | at_top))
-
-
-def _expose_readings(
-    mean_e: Array,
-    integration_s: float,
-    sensor: Sensor,
-    rng: np.random.Generator,
-    subexposures_e: Sequence[Array] = (),
-) -> tuple[dict[str, NDArray[np.int32]], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the codes of all readings by their names, the merged photo-electrons, and which pixels
-    are full in the last reading, (rows, columns) each; of a burst, sums over its subexposures.
-
-    subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
-    """
-    _check_shape(mean_e, sensor)
-    readout = sensor.readout
-    count = readout.exposures
-    time_s = integration_s / count
-    columns = sensor.shape[1]
-    codes = [np.empty(mean_e.shape, np.int32) for _ in readout.readings]
-    total_dn = codes if count == 1 else [np.zeros_like(code) for code in codes]
-    estimate_e = np.zeros(mean_e.shape, np.float32)
-    saturated = np.zeros(mean_e.shape, bool)
-    # Neighbours of a row belong to the merge of maximum likelihood.
-    is_by_rows = readout.merge.merge != "max_likelihood"
-
-    def merge(rows: slice) -> None:
-        dn = [code[rows] for code in codes]
-        estimate_e[rows] += merged_e(readout, charges_of_codes_e(readout, dn), time_s)
-
-    def expose(block: slice, rng: np.random.Generator, photo_e: Array) -> None:
-        for part in strips(block.stop - block.start, columns):
-            rows = slice(block.start + part.start, block.start + part.stop)
-            dn = [code[rows] for code in codes]
-            saturated[rows] |= _read_rows(photo_e[rows], time_s, sensor, rows, rng, dn)
-            if is_by_rows:
-                merge(rows)
-
-    for photo_e in subexposures_e or [mean_e if count == 1 else mean_e / count] * count:
-        _by_block(partial(expose, photo_e=photo_e), mean_e.shape, rng)
-        if not is_by_rows:
-            merge(slice(None))
-        if count > 1:
-            for total, code in zip(total_dn, codes, strict=True):
-                total += code
-    names = [reading.name for reading in readout.readings]
-    return dict(zip(names, total_dn, strict=True)), estimate_e, saturated
-
-
-def _read_rows(
-    light_e: Array,
-    time_s: float,
-    sensor: Sensor,
-    rows: slice,
-    rng: np.random.Generator,
-    dn: Sequence[NDArray[np.int32]],
-) -> NDArray[np.bool_]:
-    """Write the codes of all readings of some rows in one exposure; return which pixels are full in
-    the last one. The charge of a collector is drawn once.
-
-    light_e : mean photo-electrons of the first collector, of these rows
-    dn : of each reading, these rows
-    """
-    work = np.empty((2, *light_e.shape))
-    charges_e: dict[int, NDArray[Any]] = {}
-    capacitors_e: dict[int, NDArray[Any]] = {}
-    is_full = np.zeros(light_e.shape, bool)
-    for reading, gain_errors, codes in zip(
-        sensor.readout.readings, sensor.gain_errors, dn, strict=True
-    ):
-        diode = sensor if not reading.photodiode else sensor.further[reading.photodiode - 1]
-        readout = reading.readout
-        if reading.collector not in charges_e:
-            signal_e = reading.response * light_e
-            mean_charge_e = _mean_charge_e(signal_e, time_s, readout, diode, rows, work)
-            charges_e[reading.collector] = _shot_noise(mean_charge_e, rng)
-        charge_e = charges_e[reading.collector]
-        if reading.capacitor_dark_e_per_s:
-            if reading.collector not in capacitors_e:
-                dark_e = np.full(light_e.shape, reading.capacitor_e(time_s))
-                capacitors_e[reading.collector] = _shot_noise(dark_e, rng)
-            charge_e = charge_e + capacitors_e[reading.collector]
-
-        is_full, _ = _read_level(
-            charge_e,
-            stored_signal_e(charge_e, time_s, readout),
-            time_s,
-            readout,
-            diode,
-            rows,
-            rng,
-            codes,
-            work[0],
-            gain_error=reading.gain_error + (0.0 if gain_errors is None else gain_errors[rows]),
-            black_error_dn=reading.black_error_dn,
-        )
-    return is_full
 
 
 def _check_shape(mean_e: Array, sensor: Sensor) -> None:
@@ -751,7 +698,6 @@ def _expose_burst(
     The sum of the codes of pixels that no subexposure clips, and whose noise makes rounding a noise
     (`quantise`), is drawn at once. Of all other pixels each subexposure is read out.
     """
-    _check_shape(mean_e, sensor)
     subexposure_readout = sensor.readout.burst(1)
     count = sensor.readout.exposures
     time_s = integration_s / count
@@ -1019,13 +965,14 @@ def capture_from_rates(
     exposed = sensor if readout is sensor.readout else replace(sensor, readout=readout)
     subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
     if readout.readings:
-        readings, estimate_e, saturated = _expose_readings(
+        codes, estimate_e, saturated = _expose_readings(
             mean_e, time_s, exposed, rng, subexposures_e
         )
+        names = [reading.name for reading in readout.readings]
         return MergedFrame(
             **_frame_fields(mean_e, time_s, readout, float(saturated.mean()), saturated),
             corrected_e=estimate_e,
-            readings=readings,
+            readings=dict(zip(names, codes, strict=True)),
             readout=readout,
         )
     dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)

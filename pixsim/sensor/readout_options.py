@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from pixsim.base.records import Record, UnitInterval, as_list
+from pixsim.base.toml import packaged_tables
 from pixsim.light.quantities import Fraction
 from pixsim.sensor.quantities import (
     Current,
@@ -97,8 +99,8 @@ class ReadingOptions(Record):
     resets: ResetFactor | None = Field(
         None,
         description=(
-            "n in the reset noise variance n kTC/q², with C = q over the conversion gain (absent:"
-            " the reset noise of the pixel)"
+            "n in the reset noise variance n kTC/q², with C = q over the conversion gain (without"
+            " both: the reset noise of the pixel)"
         ),
     )
     gain_spread: GainSpread = Field(
@@ -219,29 +221,42 @@ class ReadoutOptions(Record):
     )
 
     @model_validator(mode="after")
-    def _is_complete(self) -> Self:
-        if self.collector or self.reading:
-            _check_full(self)
-            return self
-        required, optional = _KINDS[self.kind]
-        fields = ReadoutOptions.model_fields
-        problems = [f"no {name}" for name in required if getattr(self, name) is None]
-        problems += [
-            name
-            for name in _NUMBERS_OF_KINDS
-            if name not in (*required, *optional) and getattr(self, name) != fields[name].default
-        ]
+    def _has_numbers_of_kind(self) -> Self:
+        kinds = packaged_tables("readouts")
+        needed, taken = (kinds[self.kind][which] for which in ("needs", "takes"))
+        numbers = {name for kind in kinds.values() for name in kind["needs"] + kind["takes"]}
+        stated = self.model_dump(include=numbers, exclude_defaults=True)
+        problems = [f"no {name}" for name in needed if name not in stated]
+        problems += [name for name in stated if name not in needed + taken]
         if problems:
-            allowed = " and ".join(filter(None, (", ".join(required), ", ".join(optional))))
             raise ValueError(
                 f"got {', '.join(problems)} with kind = '{self.kind}'; allowed:"
-                f" {allowed or 'no numbers'}"
+                f" {', '.join(needed + taken) or 'no numbers'}"
             )
-        _model(self)  # which compares the lengths of lists
         if self.blend_from_share >= self.blend_to_share:
             raise ValueError(
                 f"got blend_from_share = {self.blend_from_share:g}; allowed: below blend_to_share,"
                 f" {self.blend_to_share:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _reads_all_collectors(self) -> Self:
+        collectors, readings = self.model
+        names = [collector.name for collector in collectors]
+        read = [reading.collector for reading in readings]
+        reading_names = {reading.name for reading in readings}
+        if {*read} != {*names} or len({*names}) < len(names) or len(reading_names) < len(read):
+            raise ValueError(
+                f"got [[readout.reading]] of the collectors {', '.join(read) or 'none'}; allowed:"
+                f" those of [[readout.collector]], {', '.join(names) or 'none'}, all of them, with"
+                " another name for each collector and each reading"
+            )
+        first = collectors[0]
+        if first.response != 1 or first.length_share != 1:
+            raise ValueError(
+                f"got response = {first.response:g} and length_share = {first.length_share:g} of"
+                f" the first collector, {first.name}; allowed: 1, since it is the reference"
             )
         return self
 
@@ -252,113 +267,44 @@ class ReadoutOptions(Record):
 
     @property
     def model(self) -> tuple[tuple[CollectorOptions, ...], tuple[ReadingOptions, ...]]:
-        """Collectors and readings in full."""
-        if self.reading:
+        """Collectors and readings in full. ValueError for lists of another length."""
+        if self.collector or self.reading:
             return self.collector, self.reading
-        return _model(self)
 
-
-def _check_full(options: ReadoutOptions) -> None:
-    """Raise ValueError unless collectors and readings refer to each other, by names that are not
-    used twice.
-    """
-    stated = [name for name in ("kind", *_NUMBERS_OF_KINDS) if name in options.model_fields_set]
-    if stated:
-        raise ValueError(
-            f"got {', '.join(stated)} with [[readout.collector]] or [[readout.reading]]; allowed:"
-            " one of both. Give the numbers to the collectors and readings"
-        )
-    for name, records in (("collector", options.collector), ("reading", options.reading)):
-        names = [record.name for record in records]
-        if not names or len(set(names)) < len(names):
-            raise ValueError(
-                f"got [[readout.{name}]] with the names {', '.join(names) or 'none'}; allowed: at"
-                " least one, each with a name of its own"
-            )
-    collectors = {record.name for record in options.collector}
-    unknown = [record.name for record in options.reading if record.collector not in collectors]
-    if unknown:
-        raise ValueError(
-            f"got readings {', '.join(unknown)} of no [[readout.collector]]; allowed:"
-            f" {', '.join(sorted(collectors))}"
-        )
-    if options.collector[0].response != 1 or options.collector[0].length_share != 1:
-        raise ValueError(
-            f"got the first collector, {options.collector[0].name}, with response ="
-            f" {options.collector[0].response:g} and length_share ="
-            f" {options.collector[0].length_share:g}; allowed: 1, since it is the reference"
+        kind = packaged_tables("readouts")[self.kind]
+        collectors = self._with_numbers(kind["collector"], CollectorOptions)
+        readings = self._with_numbers(kind["reading"], ReadingOptions)
+        share_before = 0.0
+        for number, collector in enumerate(collectors if self.ratio else ()):
+            collector["length_share"] = (self.ratio or 1.0) ** -number
+            collector["start_share"] = share_before
+            collector["start_s"] = 1e-6 * self.gap_us * number
+            share_before += collector["length_share"]
+        for reading in readings:
+            if reading.get("overflow"):
+                reading["resets"] = self.resets
+        return (
+            tuple(CollectorOptions(**collector) for collector in collectors),
+            tuple(ReadingOptions(**reading) for reading in readings),
         )
 
-
-_COLLECTOR_LISTS = "response", "full_well_e", "dark_current_e_per_s"
-_READING_LISTS = "conversion_gain_uv_per_e", "read_noise_e"
-
-
-def _tables(
-    options: ReadoutOptions, names: Sequence[str], lists: Sequence[str]
-) -> list[dict[str, Any]]:
-    """Return a table for each name, with its number of each list that is stated; the last number is
-    that of all further names.
-    """
-    stated = {field: getattr(options, field) for field in lists if getattr(options, field)}
-    for field, values in stated.items():
-        if len(values) not in (1, len(names)):
-            raise ValueError(
-                f"got {field} of {len(values)} numbers with kind = '{options.kind}'; allowed:"
-                f" one, or one for each of {', '.join(names)}"
-            )
-    return [
-        {"name": name}
-        | {field: values[min(index, len(values) - 1)] for field, values in stated.items()}
-        for index, name in enumerate(names)
-    ]
-
-
-def _model(
-    options: ReadoutOptions,
-) -> tuple[tuple[CollectorOptions, ...], tuple[ReadingOptions, ...]]:
-    """Return collectors and readings of a kind."""
-    names = {
-        "split": ["large", "small"],
-        "staggered": ["long", *(f"short{number}" for number in range(1, options.count))],
-    }.get(options.kind, ["pixel"])
-    is_read_twice = options.kind in ("dual_gain", "overflow")
-    collectors = _tables(options, names, _COLLECTOR_LISTS)
-    readings = _tables(options, ["high", "low"] if is_read_twice else names, _READING_LISTS)
-    for index, table in enumerate(readings):
-        table["collector"] = names[0] if is_read_twice else names[index]
-
-    if options.kind == "staggered":
-        assert options.ratio is not None  # as checked
-        shares = [options.ratio**-number for number in range(options.count)]
-        for index, table in enumerate(collectors):
-            table["length_share"] = shares[index]
-            table["start_share"] = sum(shares[:index])
-            table["start_s"] = 1e-6 * options.gap_us * index
-    if options.kind == "overflow":
-        collectors[0]["capacity_e"] = options.capacity_e
-        collectors[0]["capacitor_dark_e_per_s"] = options.capacitor_dark_e_per_s
-        readings[1] |= {"overflow": True, "resets": options.resets}
-    return (
-        tuple(CollectorOptions(**table) for table in collectors),
-        tuple(ReadingOptions(**table) for table in readings),
-    )
-
-
-# Of each kind: the fields that it needs, and those that may be absent.
-_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "single": ((), ()),
-    "dual_gain": (("conversion_gain_uv_per_e",), ("full_well_e", "read_noise_e")),
-    "split": (
-        ("response", "full_well_e"),
-        ("read_noise_e", "conversion_gain_uv_per_e", "dark_current_e_per_s"),
-    ),
-    "staggered": (("ratio",), ("count", "gap_us", "read_noise_e")),
-    "overflow": (
-        ("conversion_gain_uv_per_e", "capacity_e"),
-        ("full_well_e", "read_noise_e", "resets", "capacitor_dark_e_per_s"),
-    ),
-}
-_NUMBERS_OF_KINDS = tuple(
-    dict.fromkeys(name for kind in _KINDS.values() for names in kind for name in names)
-)
+    def _with_numbers(
+        self, tables: Sequence[dict[str, Any]], record: type[Record]
+    ) -> list[dict[str, Any]]:
+        """Return tables of a kind, each with its numbers for the record: of lists one for each
+        table, of single numbers that one. ValueError for lists of another length.
+        """
+        tables = tables[: self.count]
+        names = {*record.model_fields} - {"collector", "resets"}
+        stated = self.model_dump(include=names, exclude_none=True)
+        for name, value in stated.items():
+            values = value if isinstance(value, tuple) else (value,)
+            if len(values) not in (1, len(tables)):
+                raise ValueError(
+                    f"got {name} of {len(values)} numbers with kind = '{self.kind}'; allowed: one,"
+                    f" or {len(tables)}"
+                )
+            tables = [
+                table | {name: number} for table, number in zip(tables, cycle(values), strict=False)
+            ]
+        return [dict(table) for table in tables]

@@ -7,22 +7,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.scene.charts import MAX_LP_PER_MM, csf_contrast, csf_frequency_on_sensor
 from pixsim.sensor.dynamic_range import (
     DynamicRange,
+    levels_of_light_e,
     readout_range,
     readout_snr_db,
-    switches_of_frame_e,
 )
 from pixsim.sensor.integration import (
     M2_PER_UM2,
@@ -293,9 +291,7 @@ def study_neq(result: StudyResult) -> dict[str, NeqCurve]:
 
 
 THRESHOLDS_DB = (0.0, 6.0, 12.0, 20.0, 30.0, 40.0)  # of the ranges of a pixel's SNR
-_SNR_POINTS = 301
 _DARKEST = 0.3  # of the noise in the dark: -10 dB
-_STEP = 1e-9  # relative, beside a switch
 
 
 @dataclass(frozen=True)
@@ -329,21 +325,15 @@ def run_snr(result: RunResult) -> SnrCurve | None:
         return None
     time_s = result.score.frame.integration_s
     readout = chain.readout.at(chain.exposure)
-    snr_db = partial(readout_snr_db, readout, integration_s=time_s)
-    try:
-        ranges = tuple(
-            readout_range(readout, threshold_db, time_s) for threshold_db in THRESHOLDS_DB
-        )
-    except PixsimError:  # dark charge alone fills the last reading
+    ranges = tuple(readout_range(readout, threshold_db, time_s) for threshold_db in THRESHOLDS_DB)
+    lowest = ranges[0]
+    if not lowest.largest_e:
         return None
 
-    largest_e = ranges[0].largest_e
-    at_e = [level_e for level_e in switches_of_frame_e(readout, time_s) if level_e < largest_e]
-    beside_e = np.outer([1 - _STEP, 1 + _STEP], at_e)
-    before_db, after_db = snr_db(charge_e=beside_e)
-    darkest_e = _DARKEST * ranges[0].dark_noise_e
-    levels_e = np.geomspace(darkest_e, (1 - _STEP) * largest_e, _SNR_POINTS)
+    darkest_e = _DARKEST * lowest.dark_noise_e
+    levels_e, beside_e = levels_of_light_e(readout, time_s, darkest_e, lowest.largest_e)
     charge_e = np.sort(np.append(levels_e, beside_e))
+    before_db, after_db = readout_snr_db(readout, beside_e, time_s)
     display = result.settings.display
     cd_per_m2_per_e = None
     if white_w_per_m2_sr(result.irradiance, display) is None:
@@ -352,12 +342,12 @@ def run_snr(result: RunResult) -> SnrCurve | None:
     return SnrCurve(
         charge_e,
         cd_per_m2_per_e,
-        snr_db(charge_e=charge_e),
+        readout_snr_db(readout, charge_e, time_s),
         {
-            reading.name: snr_db(charge_e=charge_e, reading=reading.name)
+            reading.name: readout_snr_db(readout, charge_e, time_s, reading=reading.name)
             for reading in readout.readings
         },
-        tuple(zip(at_e, (before_db - after_db).tolist(), strict=True)),
+        tuple(zip(beside_e.mean(axis=0).tolist(), (before_db - after_db).tolist(), strict=True)),
         ranges,
     )
 

@@ -305,10 +305,6 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
     # readout and exposure
     "sum of more than 31 bits": (lambda: DEVICE.burst(2**30), "exposure.frames.*31 bits"),
     "codes of more than 31 bits": (lambda: quantise(np.zeros(1), 32), "bits: got 32"),
-    "well full of dark charge": (
-        lambda: pixsim.dynamic_range(pixel(), integration_s=2e3),
-        "dynamic range: .*1e\\+04",
-    ),
     "negative signal": (lambda: pixsim.snr_db(pixel(), -1.0), "charge_e: got .*-1"),
     "flat frames without light": (
         lambda: flat_light_e(Readout.of(derive(pixel())), Correction(flat_frames=1), 1e3),
