@@ -523,7 +523,12 @@ class StudyOptions:
     ] = False
     jobs: Annotated[
         int | None,
-        Parameter(help="Number of processes [default: one per core]; results do not depend on it."),
+        Parameter(
+            help=(
+                "Number of processes [default: one per core, where they are worth their start];"
+                " results do not depend on it."
+            )
+        ),
     ] = None
     scheduler: Annotated[
         str | None,

@@ -30,7 +30,7 @@ from pixsim.studies.design import (
     metrics_of,
     study_pitches_um,
 )
-from pixsim.studies.engine import BASE_BYTES, jobs_in_memory, workers_here
+from pixsim.studies.engine import BASE_BYTES, suitable_jobs, workers_here
 from pixsim.studies.film_error import film_error, samples_per_dot
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import NOISE_SENSORS
@@ -187,21 +187,19 @@ def _frame_costs(
     return costs[key]
 
 
-def fitting_jobs(study: Study, camera: Camera) -> int:
-    """Return the number of processes of which each has a core and memory for the largest frame, at
-    least 1.
+def jobs_of_study(cases: Sequence[tuple[Study, Camera]], types: int = 0) -> int:
+    """Return `suitable_jobs` for the first evaluations of a study's cases.
+
+    types : sensor types of each case, beside the study itself
     """
-    return jobs_in_memory(largest_frame_bytes([(study, camera)]))
-
-
-def largest_frame_bytes(cases: Sequence[tuple[Study, Camera]]) -> float:
-    """Return the memory of the largest frame of a study's cases."""
+    seconds = 0.0
+    largest_bytes = 0.0
     costs: dict[Any, list[FrameCost]] = {}
-    return max(
-        frame.memory_bytes
-        for study, camera in cases
-        for frame in _frame_costs(study, camera, costs)
-    )
+    for study, camera in cases:
+        frames = _frame_costs(study, camera, costs)
+        seconds += (1 + types) * study.repeats * sum(frame.seconds for frame in frames)
+        largest_bytes = max(largest_bytes, *(frame.memory_bytes for frame in frames))
+    return suitable_jobs(seconds, largest_bytes)
 
 
 def _run_cost(
@@ -249,7 +247,7 @@ def _study_cost(
     costs: dict[Any, list[FrameCost]] = {}
     frames = [_frame_costs(study, camera, costs) for study, camera in cases]
     frame_bytes = max(frame.memory_bytes for case_frames in frames for frame in case_frames)
-    jobs = jobs or jobs_in_memory(frame_bytes)
+    jobs = jobs or jobs_of_study(cases, types)
 
     evaluations = 0
     frames_s = 0.0

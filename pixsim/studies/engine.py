@@ -55,6 +55,7 @@ _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 # For workers to come back after all are lost; between two looks.
 IDLE_SECONDS = 300.0
 WATCH_SECONDS = 5.0
+_SERIAL_SECONDS = 3.0  # of all evaluations in one process: processes take a second to start
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 _AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
@@ -80,10 +81,14 @@ def workers_here(jobs: int | None = None) -> Workers:
     return Workers(jobs or processors().usable)
 
 
-def jobs_in_memory(largest_bytes: float) -> int:
-    """Return the number of processes of which each has a core and memory for the largest frame, at
-    least 1.
+def suitable_jobs(seconds: float, largest_bytes: float) -> int:
+    """Return the number of processes that are worth their start, of which each has a core and
+    memory for the largest frame, at least 1.
+
+    seconds : of the evaluations in one process
     """
+    if seconds < _SERIAL_SECONDS:
+        return 1
     usable_bytes = memory().usable
     cores = workers_here().jobs
     if usable_bytes is None:

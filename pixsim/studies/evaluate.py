@@ -42,7 +42,7 @@ from pixsim.studies.design import (
     point_count,
     points_at,
 )
-from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_here
+from pixsim.studies.engine import Workers, results_of, suitable_jobs, workers_here
 from pixsim.studies.lights import Light
 from pixsim.studies.table import DEGREE, DOTS, Label, Row, Store, Table
 from pixsim.viewer.chain import ImagingChain, chain_of_frames, make_chain
@@ -64,7 +64,6 @@ from pixsim.viewer.screen import IdealFacts, check_one_ideal, display_image, ide
 Value = TypeVar("Value")
 
 MAX_SEARCHED_CASES = 64  # a row of a file is searched in all cases only up to so many
-_SERIAL_SECONDS = 3.0  # of all frames in one process: processes take a second to start
 # Lights in files for each light in memory: with more in a batch, fewer batches draw the same
 # sensors again.
 _FILE_LIGHTS_RATIO = 2
@@ -770,7 +769,7 @@ def _suitable_workers(cases: Sequence[RenderedCase]) -> Workers:
             cost = frame_cost(rendered.imaging.camera, pitch_um, *rendered.displays)
             seconds += count * cost.seconds
             largest_bytes = max(largest_bytes, cost.memory_bytes)
-    return workers_here(1 if seconds < _SERIAL_SECONDS else jobs_in_memory(largest_bytes))
+    return workers_here(suitable_jobs(seconds, largest_bytes))
 
 
 class _Evaluation:

@@ -46,8 +46,8 @@ from pixsim.studies.design import (
     study_pitches_um,
     warn_of_reviews,
 )
-from pixsim.studies.dry_run import largest_frame_bytes
-from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_for
+from pixsim.studies.dry_run import jobs_of_study
+from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluate import (
     Counts,
     RenderedCase,
@@ -585,7 +585,8 @@ def study(
         overrides a named study's
     quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file
         NAME.quick.toml next to the study's, or else at most 8 sizes of 4 sensors
-    jobs : processes. None means one per core. The results do not depend on it.
+    jobs : processes. None means one per core, where they are worth it. The results do not depend on
+        it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes; on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant. None means the fastest that works
@@ -690,8 +691,8 @@ def run_prepared(
         check_types(plan, studies, type_request, agreed)
         file_names += map(types_file, drawn_metrics(plan))
     if jobs is None and scheduler is None:
-        frames = [(case.settings, case.camera) for case in job.combinations]
-        jobs = jobs_in_memory(largest_frame_bytes(frames))
+        settings = [(case.settings, case.camera) for case in job.combinations]
+        jobs = jobs_of_study(settings, 0 if type_request is None else type_request.draws)
 
     with collected_notes() as notes, ExitStack() as stack:
         for name in file_names:

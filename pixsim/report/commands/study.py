@@ -19,7 +19,7 @@ from pixsim.report.uncertainty import uncertainty_files
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.show.render import write
-from pixsim.studies.dry_run import fitting_jobs
+from pixsim.studies.dry_run import jobs_of_study
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
 from pixsim.studies.prepare import check_types, prepare, uncertainty_request
@@ -117,8 +117,7 @@ def _picture_workers(result: StudyResult, jobs: int | None, scheduler: str | Non
     """
     if scheduler is not None:
         return Workers()
-    first = result.cases[0]
-    return workers_here(jobs or fitting_jobs(first.study, first.camera))
+    return workers_here(jobs or jobs_of_study([(case.study, case.camera) for case in result.cases]))
 
 
 @contextmanager
