@@ -305,6 +305,7 @@ FILE_LIST_OF_1_1 = "provenance.json"
 _MAX_FILE_LIST_BYTES = 1 << 24  # bytes
 _PIXSIM = "pixsim"
 _MAX_LISTED_FILES = 6  # in a message
+KNEES_SUFFIX = ".knees.csv"  # of the table beside a frame of companded codes
 
 
 def read_file_list(folder: Path) -> dict[str, Any]:
@@ -403,8 +404,12 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
             )
             check_replaceable(folder, new_names)
             old_names = read_file_list(folder).get("files", ())
+            # The table beside a frame goes with the frame that it belongs to.
+            tables = {str(PurePosixPath(name).with_suffix(KNEES_SUFFIX)) for name in new_names}
+            stale_names = tables.intersection(old_names).difference(new_names)
+            left_names = {*old_names} - stale_names
             listed = sorted(
-                {*new_names, *(name for name in old_names if os.path.lexists(folder / name))}
+                {*new_names, *(name for name in left_names if os.path.lexists(folder / name))}
             )
             content = {"versions": versions(), **(provenance or {}), "files": listed}
             # All that needs room on the disk is made before the first file is moved.
@@ -413,6 +418,8 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
             write_json(folder / FILE_LIST, content, named=False)
         for name in new_names:
             os.replace(partial / name, folder / name)
+        for name in stale_names:
+            (folder / name).unlink(missing_ok=True)
 
 
 def unlist_file(path: Path) -> None:

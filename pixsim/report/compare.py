@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.digits import difference_cells, exposure_time, rounded
-from pixsim.base.files import check_replaceable
+from pixsim.base.files import KNEES_SUFFIX, check_replaceable
 from pixsim.base.machine import processors
 from pixsim.base.schema import result_data
 from pixsim.base.tables import columns_of
@@ -200,7 +200,8 @@ def comparison_files(job: ComparisonJob, raw_suffixes: Sequence[str] = ()) -> se
         names |= {f"sensors/{sensor}.toml"} | {
             f"pictures/{picture}_{sensor}.png" for picture in ("image", "ideal", "delta_e")
         }
-        names |= {f"raw/{sensor}{suffix}" for suffix in raw_suffixes}
+        beside = [KNEES_SUFFIX] * bool(raw_suffixes)
+        names |= {f"raw/{sensor}{suffix}" for suffix in (*raw_suffixes, *beside)}
     return names
 
 

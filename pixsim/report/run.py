@@ -21,6 +21,7 @@ from pixsim.base.digits import (
     span,
     with_error,
 )
+from pixsim.base.files import KNEES_SUFFIX
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.schema import result_data
@@ -189,7 +190,7 @@ class RunFiles(NamedTuple):
         raw = {
             f"{_raw_stem(number)}{suffix}"
             for number in range(1, frames + 1)
-            for suffix in self.formats
+            for suffix in (*self.formats, KNEES_SUFFIX)
         }
         figures = figure_files([NEQ, SNR, *[NAME] * self.noise_budget])
         return {PAGE, *FILES, *raw, *figures} - (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pixsim.base.problems import Words
 from pixsim.base.records import Record, UnitInterval, as_list
@@ -25,23 +25,19 @@ from pixsim.sensor.quantities import (
     GateArea,
     HotMedian,
     HotSpread,
+    Knees,
     NoiseElectrons,
     OffsetSpread,
     Pitch,
     ResetFactor,
     VoltageMismatch,
     Well,
-    rising_knees,
 )
 from pixsim.sensor.readout_options import ReadoutOptions
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.unit_slips import slip_hint
 
 NO_TECHNOLOGY = "none"
-_Level = Annotated[int, Field(ge=0, lt=2**24)]
-_Knees = Annotated[
-    tuple[tuple[_Level, _Level], ...], Field(max_length=64), AfterValidator(rising_knees)
-]
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give
 # are 0.
 DATA_SHEET = ("full_well_e", "read_noise_e", "dark_current_e_per_s", "quantum_efficiency")
@@ -442,7 +438,7 @@ class PixelOptions(Record):
         ),
     )
     companding: Annotated[
-        Literal["imx585", "automotive_24"] | _Knees | None, Number("imx585", is_certain=True)
+        Literal["imx585", "automotive_24"] | Knees | None, Number("imx585", is_certain=True)
     ] = Field(
         None,
         description=(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from pixsim.base.bounds import Bounds
 
@@ -54,12 +54,10 @@ FrameBits = Annotated[int, Field(ge=1, le=32)]
 Aspect = Annotated[float, Field(ge=1e-6, le=1e6)]
 SaturatedFraction = Annotated[float, Bounds(0, 1, unknown=True)]
 
-Knees = tuple[tuple[int, int], ...]  # linear DN and code of companding
 
-
-def rising_knees(knees: Knees) -> Knees:
-    """Return knees (linear_dn, code). Raises ValueError unless they are two or more that rise, with
-    at most one code for each linear DN.
+def _rising(knees: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
+    """Return knees. Raises ValueError unless they are two or more that rise, with at most one code
+    for each linear DN.
     """
     if len(knees) < 2 or any(
         high[0] - low[0] < high[1] - low[1] or low[1] >= high[1] for low, high in pairwise(knees)
@@ -69,3 +67,8 @@ def rising_knees(knees: Knees) -> Knees:
             " rising, with at most one code for each linear DN"
         )
     return knees
+
+
+_Level = Annotated[int, Field(ge=0, lt=2**24)]
+# Linear DN and code of companding.
+Knees = Annotated[tuple[tuple[_Level, _Level], ...], Field(max_length=64), AfterValidator(_rising)]

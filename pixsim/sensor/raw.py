@@ -37,17 +37,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from pixsim.base.arrays import Array, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import PixsimError, invalid, names_in
-from pixsim.base.files import MAX_PICTURE, check_picture, opened, read_text, reason, size_of
+from pixsim.base.files import (
+    KNEES_SUFFIX,
+    MAX_PICTURE,
+    check_picture,
+    opened,
+    read_text,
+    reason,
+    size_of,
+)
 from pixsim.base.notes import Note, warn
 from pixsim.base.tables import csv_text
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
 from pixsim.sensor.companding import decode
-from pixsim.sensor.quantities import FrameBits, Knees, Pitch, SaturatedFraction, rising_knees
+from pixsim.sensor.quantities import FrameBits, Knees, Pitch, SaturatedFraction
 from pixsim.sensor.readout import Frame, MergedFrame
 
 if TYPE_CHECKING:
@@ -149,6 +158,7 @@ LAYOUT = "layout"
 SATURATED = "saturated"
 READINGS = "readings"
 _KNEES = "knees"
+_UNIT = "unit"
 _MAX_KNEES_BYTES = 1 << 16
 _BLACK_LEVEL = "black_level_dn"
 FACTS = (
@@ -162,49 +172,30 @@ FACTS = (
 )
 
 
-def _stated_facts(frame: Frame | RawFrame) -> dict[str, Any]:
+_READINGS_TYPE = TypeAdapter(dict[str, dict[str, float]])
+_KNEES_TYPE = TypeAdapter[Knees](Knees)
+
+
+def _stated_facts(frame: RawFrame) -> dict[str, Any]:
     """Return the items of `FACTS` that a frame states."""
     facts = {name: getattr(frame, name) for name in FACTS}
     return {name: value for name, value in facts.items() if value is not None}
 
 
-def _facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
-    """Return the metadata that a file stores with the digital numbers of a frame."""
-    metadata: dict[str, Any] = {}
-    if frame.layout is not None:
-        metadata[LAYOUT] = str(frame.layout)
-    knees = None
-    if isinstance(frame, MergedFrame):
-        metadata[READINGS] = json.dumps(_facts_of_readings(frame))
-        knees = frame.readout.adc.knees
-    elif isinstance(frame, RawFrame):
-        knees = frame.knees
-        if frame.readings:
-            metadata[READINGS] = json.dumps(frame.readings)
-    if knees is not None:
-        metadata[_KNEES] = json.dumps(knees)
-    # Of a single exposure, the codes tell which pixels were saturated.
-    is_burst = isinstance(frame, RawFrame) or frame.exposures > 1
-    is_burst = is_burst and READINGS not in metadata  # which are of another shape
-    if frame.saturated is not None and is_burst:
-        metadata[SATURATED] = frame.saturated
-
-    facts = _stated_facts(frame)
-    if isinstance(frame, RawFrame):
-        if np.ndim(facts.get(_BLACK_LEVEL, 0.0)):
-            facts[_BLACK_LEVEL] = _cell_of(facts[_BLACK_LEVEL]).tolist()
-        return metadata | facts
-
-    facts.setdefault("white_level_dn", 2**frame.bits - 1)
-    metadata |= {name: float(facts[name]) for name in FACTS}
-    metadata["bits"] = int(frame.bits)
-    return metadata
-
-
-def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
-    """Return what turns the codes of each reading into electrons of light, by its name."""
+def _as_stored(frame: Frame) -> RawFrame:
+    """Return a frame as a file holds it: several readings are one below the other."""
     count = frame.exposures
-    return {
+    white_dn = 2**frame.bits - 1 if frame.white_level_dn is None else frame.white_level_dn
+    facts: dict[str, Any] = {name: getattr(frame, name) for name in FACTS}
+    facts |= {"white_level_dn": white_dn}
+    facts = {name: float(value) for name, value in facts.items()} | {"bits": int(frame.bits)}
+    if not isinstance(frame, MergedFrame):
+        # Of a single exposure, the codes tell which pixels were saturated.
+        saturated = frame.saturated if count > 1 else None
+        return RawFrame(frame.dn, **facts, layout=frame.layout, saturated=saturated)
+
+    # What turns the codes of each reading into electrons of light.
+    readings = {
         reading.name: {
             "dn_per_e": reading.readout.dn_per_e,
             "black_level_dn": count * reading.readout.adc.black_level_dn,
@@ -214,16 +205,35 @@ def _facts_of_readings(frame: MergedFrame) -> dict[str, dict[str, float]]:
         }
         for reading in frame.readout.readings
     }
+    return RawFrame(
+        np.concatenate(list(frame.readings.values())),
+        **facts,
+        layout=frame.layout,
+        readings=readings,
+        knees=frame.readout.adc.knees,
+    )
 
 
-def _readings_of(metadata: dict[str, Any]) -> dict[str, dict[str, float]] | None:
-    """Return the facts of several readings that a file states, if they are such facts."""
-    with suppress(KeyError, TypeError, ValueError, AttributeError, RecursionError):
-        stated = json.loads(str(metadata[READINGS]))
-        return {
-            str(name): {fact: float(value) for fact, value in facts.items()}
-            for name, facts in stated.items()
-        }
+def _facts_of(frame: RawFrame) -> dict[str, Any]:
+    """Return the metadata that a file stores with the digital numbers of a frame."""
+    metadata: dict[str, Any] = {_UNIT: UNIT}
+    if frame.layout is not None:
+        metadata[LAYOUT] = str(frame.layout)
+    if frame.saturated is not None:
+        metadata[SATURATED] = frame.saturated
+    for name in (READINGS, _KNEES):
+        if getattr(frame, name) is not None:
+            metadata[name] = json.dumps(getattr(frame, name))
+    facts = _stated_facts(frame)
+    if np.ndim(facts.get(_BLACK_LEVEL, 0.0)):
+        facts[_BLACK_LEVEL] = _cell_of(facts[_BLACK_LEVEL]).tolist()
+    return metadata | facts
+
+
+def _json_item(metadata: dict[str, Any], name: str, kind: TypeAdapter[Any]) -> Any:
+    """Return an item that a file states as JSON; None without one of this kind."""
+    with suppress(KeyError, ValueError):
+        return kind.validate_json(str(metadata[name]))
     return None
 
 
@@ -231,23 +241,15 @@ def _knees_of(metadata: dict[str, Any], path: Path) -> Knees | None:
     """Return the knees that a file states, or of another program those of the table beside it.
     Raises PixsimError for a table of something else.
     """
-    table = _knees_path(path)
-    if "unit" not in metadata and table.is_file():
-        allowed = "lines of linear_dn,code"
-        text = read_text(table, "knees", allowed, _MAX_KNEES_BYTES)
-        rows = [line.split(",") for line in text.split()[1:]]
-        try:
-            return rising_knees(tuple((int(linear_dn), int(code)) for linear_dn, code in rows))
-        except ValueError as error:
-            raise invalid("knees", f"'{table}' ({error})", allowed) from None
-    with suppress(KeyError, TypeError, ValueError, RecursionError):
-        stated = json.loads(str(metadata[_KNEES]))
-        return rising_knees(tuple((int(linear_dn), int(code)) for linear_dn, code in stated))
-    return None
-
-
-def _knees_path(path: Path) -> Path:
-    return path.with_suffix(".knees.csv")
+    table = path.with_suffix(KNEES_SUFFIX)
+    if str(metadata.get(_UNIT)) == UNIT or not table.is_file():
+        return _json_item(metadata, _KNEES, _KNEES_TYPE)
+    allowed = "lines of linear_dn,code"
+    text = read_text(table, "knees", allowed, _MAX_KNEES_BYTES)
+    try:
+        return _KNEES_TYPE.validate_python([line.split(",") for line in text.split()[1:]])
+    except ValueError as error:
+        raise invalid("knees", f"'{table}' ({error})", allowed) from None
 
 
 def _cell_of(levels: Array) -> Array:
@@ -307,11 +309,9 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
         raise invalid("raw frame", f"'{path}'", f"a name that ends in {', '.join(SUFFIXES)}")
 
     name = f"raw frame for '{path}'"
-    if isinstance(frame, MergedFrame):
-        dn = np.concatenate(list(frame.readings.values()))
-    else:
-        dn = np.asarray(frame.dn)
-    facts = _facts_of(frame)
+    stored = frame if isinstance(frame, RawFrame) else _as_stored(frame)
+    dn = np.asarray(stored.dn)
+    facts = _facts_of(stored)
     _check_whole(name, dn)
     bits = _BITS_OF.get(path.suffix.lower(), _MAX_BITS)
     if dn.max() >= 2**bits:
@@ -319,13 +319,16 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
             name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead."
         )
     for fact, value in facts.items():
-        is_number = fact not in (LAYOUT, SATURATED, READINGS, _KNEES) and not np.ndim(value)
+        is_number = fact not in (_UNIT, LAYOUT, SATURATED, READINGS, _KNEES) and not np.ndim(value)
         if is_number and not math.isfinite(stated_number(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
     writers[path.suffix.lower()](path, dn, facts)
-    if _KNEES in facts:
-        with writing(_knees_path(path)) as unfinished:
-            text = csv_text([("linear_dn", "code"), *json.loads(facts[_KNEES])])
+    table = path.with_suffix(KNEES_SUFFIX)
+    if stored.knees is None:
+        table.unlink(missing_ok=True)  # of the frame that this one replaces
+    else:
+        with writing(table) as unfinished:
+            text = csv_text([("linear_dn", "code"), *stored.knees])
             unfinished.write_text(text, encoding="utf-8")
 
 
@@ -349,14 +352,12 @@ def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
         for name, value in facts.items()
         if name != SATURATED and not isinstance(value, list)
     }
-    write_channels(
-        path, {"Y": dn}, {"unit": UNIT, **attributes, "facts": json.dumps(facts, sort_keys=True)}
-    )
+    write_channels(path, {"Y": dn}, attributes | {"facts": json.dumps(facts, sort_keys=True)})
 
 
 def _write_npz(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     stored = dn.astype(np.min_scalar_type(int(dn.max(initial=0))))
-    arrays: dict[str, Any] = {"dn": stored, "unit": UNIT, **facts}
+    arrays: dict[str, Any] = {"dn": stored, **facts}
     with writing(path) as unfinished, unfinished.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -365,7 +366,7 @@ def _write_png(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.PngImagePlugin import PngInfo
 
     metadata = PngInfo()
-    for name, value in {"unit": UNIT, **_as_text(facts)}.items():
+    for name, value in _as_text(facts).items():
         metadata.add_text(name, str(value))
     with writing(path) as unfinished:
         _picture(dn).save(unfinished, "PNG", pnginfo=metadata)
@@ -376,7 +377,7 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.TiffTags import BYTE, DOUBLE, LONG, SHORT
 
     tags = ImageFileDirectory_v2()
-    tags[_DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **_as_text(facts)}, sort_keys=True)
+    tags[_DESCRIPTION_TAG] = json.dumps(_as_text(facts), sort_keys=True)
     black_level = facts.get(_BLACK_LEVEL)
     if isinstance(black_level, list):
         levels = np.array(black_level)
@@ -441,7 +442,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
         **facts,
         layout=layout_of(metadata, dn.shape),
         saturated=saturated_of(metadata, dn.shape),
-        readings=_readings_of(metadata),
+        readings=_json_item(metadata, READINGS, _READINGS_TYPE),
         knees=_knees_of(metadata, path),
     )
 
@@ -557,7 +558,7 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
-    stored = (*FACTS, LAYOUT, SATURATED, READINGS)
+    stored = (*FACTS, LAYOUT, SATURATED, READINGS, _KNEES, _UNIT)
 
     def check(array: str, values: NDArray[Any]) -> None:
         if array in stored and path.suffix.lower() == ".npz":

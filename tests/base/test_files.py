@@ -41,10 +41,10 @@ from pixsim.studies.table import CHECK, COLUMNS, Store, check_replaceable_result
 
 
 def publish(folder: Path, **texts: str) -> None:
-    """Publish files `name`.txt; an underscore in a name is a folder."""
+    """Publish files `name`.txt, or of another stated suffix; an underscore is a folder."""
     with output_folder(folder) as place, publishing(place) as unfinished:
         for name, text in texts.items():
-            path = unfinished / f"{name.replace('_', '/')}.txt"
+            path = unfinished / f"{name.replace('_', '/')}{'' if '.' in name else '.txt'}"
             path.parent.mkdir(exist_ok=True)
             path.write_text(text)
 
@@ -59,9 +59,11 @@ def state(folder: Path) -> dict[str, bytes | bool]:
 
 
 def test_publishing_again_replaces_files_of_pixsim_and_leaves_all_others(tmp_path: Path) -> None:
-    """Also those that a user has changed; files of an earlier command stay, and are known."""
+    """Also those that a user has changed; files of an earlier command stay, and are known, but for
+    the table beside a frame that is replaced.
+    """
     (tmp_path / "mine.txt").write_text("mine")
-    publish(tmp_path, a="1", figures_b="2", figures_c="3")
+    publish(tmp_path, a="1", figures_b="2", figures_c="3", **{"a.knees.csv": "6"})
     (tmp_path / "a.txt").write_text("9")
     publish(tmp_path, a="4", figures_b="2")
     assert contents(tmp_path) == {

@@ -522,7 +522,6 @@ def test_raw_files_have_the_readings_one_below_the_other(tmp_path: Path, suffix:
     frame = frame_of(pixel(DUAL, black_level_dn=64), 1000.0)
     pixsim.write_frame(tmp_path / f"raw{suffix}", frame)
     raw = pixsim.read_frame(tmp_path / f"raw{suffix}")
-    assert raw.readings is not None
     low = raw.readings["low"]
     electrons = (raw.readings_dn["low"].astype(float) - low["black_level_dn"]) / low["dn_per_e"]
     assert np.array_equal(raw.readings_dn["high"], frame.readings["high"])
@@ -531,7 +530,7 @@ def test_raw_files_have_the_readings_one_below_the_other(tmp_path: Path, suffix:
 
 @pytest.mark.parametrize("suffix", [".npz", ".exr", ".tiff", ".png"])
 def test_raw_files_have_knees_in_the_file_and_beside_it(tmp_path: Path, suffix: str) -> None:
-    """The table beside a file of another program is its companding."""
+    """The table beside a file of another program is its companding; a linear frame removes it."""
     sheet = {"full_well_e": 60_000, "black_level_dn": 200, "bits": 16}
     frame = frame_of(pixel(None, companding="imx585", **sheet), 40_000.0)
     pixsim.write_frame(tmp_path / f"raw{suffix}", frame)
@@ -542,7 +541,9 @@ def test_raw_files_have_knees_in_the_file_and_beside_it(tmp_path: Path, suffix: 
     assert electrons == pytest.approx(frame.estimate_e, rel=1e-6)
 
     np.savez(tmp_path / "other.npz", raw.dn)
-    (tmp_path / "raw.knees.csv").rename(tmp_path / "other.knees.csv")
+    (tmp_path / "other.knees.csv").write_text((tmp_path / "raw.knees.csv").read_text())
+    pixsim.write_frame(tmp_path / f"raw{suffix}", replace(raw, knees=None))
+    assert not (tmp_path / "raw.knees.csv").exists()
     assert pixsim.read_frame(tmp_path / "other.npz").knees == IMX585
     (tmp_path / "other.knees.csv").write_text("0,0\n5,9\n")
     with pytest.raises(PixsimError, match="rising"):
