@@ -155,9 +155,15 @@ def test_without_llvm_scalar_renders_with_a_note(fresh: pytest.MonkeyPatch) -> N
         variant.choose("llvm_ad_spectral")
 
 
-def test_scalar_needs_no_llvm(fresh: pytest.MonkeyPatch) -> None:
-    fresh.setattr(variant, "find_llvm", lambda: pytest.fail("looked for an LLVM"))
+def test_render_after_a_scalar_one_takes_llvm(fresh: pytest.MonkeyPatch) -> None:
+    """Dr.Jit reads the path of LLVM only when it is imported, which the scalar render does."""
+    fresh.delenv(variant.LLVM_VARIABLE)
+    fresh.delitem(sys.modules, "drjit", raising=False)
+    fresh.setattr(variant, "candidates", lambda: [("libLLVM.so", variant.SYSTEM)])
+    fresh.setattr(variant, "_cached_version", lambda _: 19)
     assert variant.choose("scalar_spectral").reason == "requested"
+    fresh.setitem(sys.modules, "drjit", sys)
+    assert variant.choose("llvm_ad_spectral").reason == "system, LLVM 19"
 
 
 def test_llvm_after_drjit_is_taken_or_refused(fresh: pytest.MonkeyPatch) -> None:

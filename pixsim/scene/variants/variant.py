@@ -182,6 +182,9 @@ def choose(requested: str | None = None) -> ChosenVariant:
         hint = did_you_mean(requested, VARIANTS)
         raise invalid("variant", f"'{requested}'", ", ".join(VARIANTS), hint)
     if requested == SCALAR:
+        # Dr.Jit reads the path when it is imported: the next render of this process may need it.
+        if LLVM_VARIABLE not in os.environ and "drjit" not in sys.modules:
+            _point_to_llvm(*find_llvm())
         return ChosenVariant(SCALAR, None, "requested")
 
     fault = graphics.no_card_reason() if requested == CUDA else None
@@ -204,6 +207,13 @@ def choose(requested: str | None = None) -> ChosenVariant:
     return replace(processors, reason=f"{processors.reason}; no graphics card: {trial.fault}")
 
 
+def _point_to_llvm(path: str | None, reason: str) -> None:
+    """Write the path of a usable libLLVM, if there is one, into the variable that Dr.Jit reads."""
+    if path is not None:
+        os.environ[LLVM_VARIABLE] = path
+        _reasons[path] = reason
+
+
 def _for_processors(requested: str | None) -> tuple[ChosenVariant, str]:
     """Return LLVM, or else scalar, and in that case what it lacks for LLVM and how to get it."""
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
@@ -215,8 +225,7 @@ def _for_processors(requested: str | None) -> tuple[ChosenVariant, str]:
         path, reason = find_llvm()
         hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if path is not None:
-        os.environ[LLVM_VARIABLE] = path
-        _reasons[path] = reason
+        _point_to_llvm(path, reason)
         return ChosenVariant(LLVM, path, reason), ""
     if requested == LLVM:
         raise invalid(
