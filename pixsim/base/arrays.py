@@ -311,8 +311,6 @@ def values_of(
     expected = f"a function that returns {' × '.join(map(str, shape))} numbers, or one"
     try:
         values = np.asarray(function(*arguments), float)
-    except PixsimError:
-        raise
     except Exception as error:  # a user's function may raise anything
         raise invalid(
             name,

@@ -52,14 +52,3 @@ def parameter(name: str, value: str) -> str:
     "chart='star.png'"
     """
     return f"-D {name}={shlex.quote(value)}" if _command_lines else f"{name}={value!r}"
-
-
-def evaluated(path: str) -> str:
-    """Return how the caller scores a picture of spectral light.
-
-    >>> evaluated("light.exr")
-    "evaluate(read_irradiance('light.exr'), …)"
-    """
-    if _command_lines:
-        return f"pixsim run {shlex.quote(path)}"
-    return f"evaluate(read_irradiance({path!r}), …)"

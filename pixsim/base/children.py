@@ -12,7 +12,7 @@ import sys
 def _without_empty_parts(folders: str) -> str:
     """A list of folders, as in PATH, without the empty parts, which stand for the current folder.
 
-    >>> without_empty_parts(":/usr/bin::/bin")
+    >>> _without_empty_parts(":/usr/bin::/bin")
     '/usr/bin:/bin'
     """
     return os.pathsep.join(part for part in folders.split(os.pathsep) if part)

@@ -182,8 +182,6 @@ def probability(share: float, pairs: int) -> str:
     >>> probability(0.99961, 2), probability(0.0, 4)
     ('> .75', '< .063')
     """
-    if math.isnan(share):
-        return UNKNOWN
     limit = min(_MAX_PROBABILITY, 1 - 0.5**pairs)
     if share > limit:
         return f"> {_share(math.floor(1e3 * limit) / 1e3)}"

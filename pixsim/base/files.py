@@ -599,16 +599,9 @@ def is_utf8(path: Path | str) -> bool:
 
 
 def read_bytes(path: Path, name: str, expected: str, max_bytes: int) -> bytes:
-    """Read a regular file. Raises PixsimError as `opened`, or if it grows while it is read."""
+    """Read a regular file, as long as it is when it is opened. Raises PixsimError as `opened`."""
     with opened(path, name, expected, max_bytes) as file:
-        size_bytes = os.fstat(file.fileno()).st_size
-        try:
-            content = file.read(size_bytes + 1)
-        except OSError as error:
-            raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
-    if len(content) > size_bytes:
-        raise invalid(name, f"'{path}', which grows while it is read", expected)
-    return content
+        return file.read(os.fstat(file.fileno()).st_size)
 
 
 def read_text(path: Path, name: str, expected: str, max_bytes: int) -> str:
@@ -645,7 +638,7 @@ def check_picture(path: Path) -> None:
     with opened(path, "picture", "a readable picture") as file:
         stored = os.fstat(file.fileno()).st_size
         try:
-            # Pillow has a limit of its own.
+            # Pillow raises its error above 2 × `Image.MAX_IMAGE_PIXELS`, and warns from half of it.
             with (
                 warnings.catch_warnings(action="ignore"),
                 Image.open(file, formats=_PICTURE_FORMATS) as image,
@@ -655,21 +648,15 @@ def check_picture(path: Path) -> None:
             raise invalid(f"picture '{path}'", error, "a readable picture") from None
         except Exception as error:  # a decoder may raise anything for a damaged file
             raise invalid(f"picture '{path}'", reason(error), "a readable picture") from None
-    if width * height > MAX_PICTURE:
-        raise invalid(
-            f"picture '{path}'", f"{width} × {height} samples", f"up to {MAX_PICTURE} in total"
-        )
     check_compression(f"picture '{path}'", 8 * width * height, stored)
 
 
 def reason(error: Exception) -> str:
-    """Why a file cannot be read, for a message: the system's text, or the kind of damage.
+    """Why a file cannot be read, for a message: the kind of damage.
 
     A decoder's own text may quote the file, which can be another than the user believes, such as a
     key.
     """
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
     if isinstance(error, MemoryError):
         return "its arrays need more memory than is available"
     return f"damaged, or of another format: {type(error).__name__} of its decoder"

@@ -72,7 +72,6 @@ def _presenter(result: Result) -> Any:
     """Return the `pixsim.show.presenter.Presenter` of a type of results."""
     import pixsim
 
-    for kind in type(result).__mro__:
-        if kind.__name__ in pixsim.PRESENTERS:
-            return import_module(f"pixsim.{pixsim.PRESENTERS[kind.__name__]}").PRESENTER
-    raise LookupError(f"{type(result).__name__}, which pixsim.PRESENTERS does not name")
+    names = (kind.__name__ for kind in type(result).__mro__)
+    module = next(pixsim.PRESENTERS[name] for name in names if name in pixsim.PRESENTERS)
+    return import_module(f"pixsim.{module}").PRESENTER

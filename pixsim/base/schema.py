@@ -25,14 +25,6 @@ SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
 _ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 
 
-def _schema_words(schema: object) -> str:
-    """Return the words of a message on a file that states another schema. None and an empty text
-    mean no schema.
-    """
-    words = "no schema" if schema in (None, "") else f"schema {str(schema)[:20]}"
-    return f"{words}; this version of pixsim has schema {SCHEMA}"
-
-
 def check_not_newer(name: str, got: object) -> None:
     """Raise PixsimError if a file states a schema that this version does not know; files that state
     none are older.

@@ -44,8 +44,6 @@ def as_quantum_efficiency(value: object) -> object:
 
     Raises ValueError if the value is none of these.
     """
-    if value is None:
-        return None
     if isinstance(value, str | Path):
         try:
             value = float(str(value))
@@ -246,8 +244,6 @@ def as_curves(kind: str, highest: float) -> Callable[[Any], Any]:
     """
 
     def validate(value: object) -> object:
-        if value is None:
-            return None
         if isinstance(value, str | Path):
             if kind == "sensitivities" and not (
                 str(value).endswith(".csv") or Path(value).is_file()

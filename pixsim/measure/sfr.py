@@ -1475,8 +1475,6 @@ def read_edge_picture(path: Path, channel: str | None = None) -> _EdgePicture:
     PNG.
     """
     data, metadata = read_picture(path, "edge picture", (*SUFFIXES, ".npy"), in_colour=True)
-    if data.dtype.kind not in "biuf":
-        raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
         text = (
             f"'{path}' states an encoding for displays ({metadata[ENCODING]}): the SFR is correct"

@@ -753,8 +753,7 @@ def _binned_cells(light: ChannelWavefronts, pitch_um: float) -> int:
 
 def dark_share(camera: Camera) -> float:
     """Return the share of the die's area that no light of the real lens reaches."""
-    if camera.relative_illumination is None:
-        return 0.0
+    assert camera.relative_illumination is not None
     heights_mm, relative = camera.relative_illumination
     midpoints = (np.arange(_DARK_CELLS) + 0.5) / _DARK_CELLS  # of a quarter of the die
     y_mm = midpoints * camera.height_mm / 2
@@ -850,11 +849,10 @@ def camera_blur(
         return _BLURS[key]
 
     spacing, cells = tiling.cells(pitch_um)
-    blur = None
     stored = cache.arrays("psfs", key)
     if stored is not None:
         blur = blur_from_arrays(stored, shape, pitch_um, spacing, cells)
-    if blur is None:
+    else:
         psfs = camera_psfs(camera, shape, pitch_um, tiling, wavelength_nm, weight, transfer)
         blur = field_blur(psfs, shape, pitch_um, spacing, cells)
         cache.store_arrays("psfs", key, blur.as_arrays())

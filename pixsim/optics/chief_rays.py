@@ -29,13 +29,11 @@ _MAX_CHIEF_RAYS = 1000  # rows; makers' tables have 10 to 100
 _MAX_RELATIVE_ILLUMINATION = 2.0
 
 
-def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path | None) -> object:
+def as_chief_ray_angles(value: Iterable[Iterable[object]] | str | Path) -> object:
     """Return chief ray angles as rows of numbers, from rows, or from the path of a CSV file.
 
     Raises ValueError if the value is neither.
     """
-    if value is None:
-        return None
     if isinstance(value, str | Path):
         return _read_chief_rays(Path(value))
     try:
@@ -208,14 +206,12 @@ def _check_heights(rows: ChiefRayAngles, source: str) -> None:
         )
 
 
-def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | None) -> object:
+def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path) -> object:
     """Return image heights in mm and the illumination there, 1 on the axis, from rows or from a CSV
     file.
 
     A row of the axis may be missing. Raises ValueError if the value is neither.
     """
-    if value is None:
-        return None
     if isinstance(value, str | Path):
         source = f"'{value}'"
         columns = _CHIEF_RAY_COLUMNS[0::2]

@@ -1350,22 +1350,12 @@ def blur_from_arrays(
     pitch_um: float,
     spacing: int,
     cells: int,
-) -> FieldBlur | None:
-    """Return the blur that `FieldBlur.as_arrays` stored, or None if the arrays belong to other
-    tiles.
-    """
+) -> FieldBlur:
+    """Return the blur that `FieldBlur.as_arrays` stored, of the same picture and tiles."""
     extended = shape[0] + cells - 1, shape[1] + cells - 1
     tiles = distinct_tiles(extended, spacing)
-    kernels = stored.get("kernels", np.empty(0))
-    flat_field = stored.get("flat_field", np.empty(0))
-    if (
-        kernels.shape != (len(tiles), cells, cells)
-        or flat_field.shape != shape
-        or not kernels.dtype == flat_field.dtype == np.float32
-    ):
-        return None
-    psfs = {tile: Psf(kernel) for tile, kernel in zip(tiles, kernels, strict=True)}
-    return FieldBlur(extended, pitch_um, spacing, psfs, flat_field)
+    psfs = {tile: Psf(kernel) for tile, kernel in zip(tiles, stored["kernels"], strict=True)}
+    return FieldBlur(extended, pitch_um, spacing, psfs, stored["flat_field"])
 
 
 def picture_error(

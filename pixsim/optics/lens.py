@@ -1662,13 +1662,10 @@ class Lens:
     # Changed lenses
 
     def scaled(self, factor: Positive) -> Lens:
-        """Return the lens with every length times `factor`, but the object's distance. Raises
-        PixsimError unless it is above 0.
+        """Return the lens with every length times `factor`, but the object's distance.
 
         factor : a ratio of lengths
         """
-        if not factor > 0:
-            raise invalid("factor", f"{factor:g}", "a finite number above 0")
         ellipses = tuple(
             (field_deg, factor * centre_mm, factor * across_mm, factor * along_mm)
             for field_deg, centre_mm, across_mm, along_mm in self.vignetting

@@ -281,17 +281,15 @@ def allowed(field: dict[str, Any]) -> str:
     if kind not in ("number", "integer"):
         return {"array": "a list", "boolean": "true or false"}.get(str(kind), "")
 
-    start = ""
-    if (low := field.get("minimum")) is not None:
-        start = f"{low:.9g} "
-    elif (low := field.get("exclusiveMinimum")) is not None:
-        start = f"above {low:.9g} "
-    end = "or more"
-    if (high := field.get("maximum")) is not None:
-        end = f"to {high:.9g}"
-    elif (high := field.get("exclusiveMaximum")) is not None:
-        end = f"to below {high:.9g}"
-    return f"{'integer, ' if kind == 'integer' else ''}{start}{end}"
+    if "minimum" in field:
+        start = f"{field['minimum']:.9g}"
+    else:
+        start = f"above {field['exclusiveMinimum']:.9g}"
+    if "maximum" in field:
+        end = f"{field['maximum']:.9g}"
+    else:
+        end = f"below {field['exclusiveMaximum']:.9g}"
+    return f"{'integer, ' if kind == 'integer' else ''}{start} to {end}"
 
 
 def toml_value(value: object) -> str:

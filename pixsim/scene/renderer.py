@@ -530,7 +530,7 @@ class Renderer:
             for rows, pulses, trace in traces.rows:
                 total = np.zeros((rows.stop - rows.start, self.rendered_size[1], len(pulses)))
                 for _ in range(traces.renders):
-                    picture = _checked(trace((first_seed + number) % 2**32), len(pulses))
+                    picture = _checked(trace((first_seed + number) % 2**32))
                     total += picture / traces.renders
                     number += 1
                     if progress:
@@ -752,11 +752,8 @@ def mirror_margins(planes: Picture, margin: int, ends: tuple[bool, bool]) -> Non
         lines[-margin:] = lines[-2 * margin : -margin][::-1]
 
 
-def _checked(values: NDArray[np.float32], channels: int) -> Array:
+def _checked(values: NDArray[np.float32]) -> Array:
     """Return the values of a render. Raises PixsimError if one is negative or not finite."""
-    if values.shape[2] != channels:
-        got = f"{values.shape[2]} channels per pixel"
-        raise invalid("integrator", got, "an integrator for radiance only, such as path")
     if not np.isfinite(values).all() or values.min() < 0:
         raise invalid(
             "rendered picture",

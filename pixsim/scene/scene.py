@@ -877,9 +877,7 @@ def _child(state: Tree, sensor: Node, kind: str) -> Node | None:
 def _whole(node: Node | None, name: str, default: int) -> int:
     if node is None or name not in node:
         return default
-    value = node[name]
-    if not isinstance(value, int):
-        raise invalid(f"{node.plugin}.{name}", value, "a whole number")
+    value: int = node[name]
     return value
 
 

@@ -652,7 +652,8 @@ def _warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array
 
     weight : electrons of each band, (B,)
     """
-    if camera.lens is None or not weight.any():
+    assert camera.lens is not None
+    if not weight.any():
         return
     low, high = traced_lens(camera.lens, camera.object_distance_m).known_nm
     share = float(weight[(wavelength_nm < low) | (wavelength_nm > high)].sum() / weight.sum())

@@ -1029,13 +1029,10 @@ def _frame_fields(
     saturated_fraction: float,
     saturated: NDArray[np.bool_] | None,
 ) -> dict[str, Any]:
-    """Return the fields of a frame beside its codes. Raises PixsimError if the gain is infinite.
+    """Return the fields of a frame beside its codes.
 
     readout : in the exposure of the frame
     """
-    if not readout.dn_per_e < math.inf:
-        hint = "Use a larger full well, or more electrons per DN."
-        raise invalid("dn_per_e", f"{readout.dn_per_e}", "a finite number", hint)
     physics = readout.physics
     return {
         "mean_e": mean_e,

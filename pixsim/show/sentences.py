@@ -21,15 +21,6 @@ def capital(words: str) -> str:
     return words if _IDENTIFIER.match(words) else words[:1].upper() + words[1:]
 
 
-def sentence(words: str) -> str:
-    """Return words as a sentence.
-
-    >>> sentence("sizes from 2 µm on"), sentence("Which?")
-    ('Sizes from 2 µm on.', 'Which?')
-    """
-    return capital(words) if words.endswith(STOPS) else f"{capital(words)}."
-
-
 def setting_value(value: object, name: str = "") -> object:
     """Return the value of a setting for a table; a curve of (wavelength in nm, value) by its size
     and range, and a table, or a list of tables, as words.

@@ -15,7 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
@@ -592,8 +592,7 @@ def _watch_parent(parent: int) -> None:
     def run() -> None:
         while os.getppid() == parent:
             time.sleep(_WATCH_S)
-        # Windows has no SIGKILL; there SIGTERM ends a process at once.
-        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
+        os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
 
@@ -633,9 +632,6 @@ def _ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
 
     Gives a context manager in which Ctrl-C is taken as before.
     """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield nullcontext
-        return
     import multiprocessing.resource_tracker
 
     # it would unblock Ctrl-C when the first worker starts

@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 
 from pixsim.base import cache
 from pixsim.base.arrays import MEASURED, PARTS, Array, Item, in_threads, spread_parts, stream
-from pixsim.base.errors import invalid
 from pixsim.base.hashes import content_hash
 from pixsim.base.notes import suppressed_warnings
 from pixsim.base.progress import Progress, share_of, steps_of
@@ -161,13 +160,6 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     """Return the image averaged over `factor` × `factor` samples, as a coarser film would hold
     it.
     """
-    if not has_whole_blocks(image.shape, factor):
-        raise invalid(
-            "film",
-            f"{image.shape} samples",
-            f"a multiple of {factor} on each side, at least {MIN_CELLS * factor}",
-        )
-
     whole = image.whole if image.margin % factor == 0 else image
     height, width = whole.shape
     blocks = height // factor, factor, width // factor, factor

@@ -12,9 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from pixsim.base.caller import setting
 from pixsim.base.digits import counted
-from pixsim.base.errors import invalid
 from pixsim.base.hashes import content_hash
 from pixsim.base.notes import warn
 from pixsim.base.progress import Progress, Stage, share_of
@@ -169,24 +167,13 @@ class LightRequest:
         return render(scene, plan=plan, answers=answers, background=background)
 
     def _without_target(self, scene: Scene, across: int) -> Scene:
-        """Return a scene without its target, on a film of so many samples across.
-
-        Raises PixsimError if it does not have the parameters that leave the target out.
-        """
+        """Return a scene without its target, on a film of so many samples across."""
         stated = self.settings.metric.detectability.without
         if isinstance(stated, str):
             from pixsim.scene.scene import load_scene
 
             return load_scene(stated, variant=scene.choice.variant).with_resolution(across)
 
-        unknown = [name for name in stated if name not in scene.names]
-        if unknown:
-            raise invalid(
-                setting("metric.detectability.without"),
-                f"{', '.join(unknown)}, which {scene.path.name} does not have",
-                f"parameters of the scene ({', '.join(sorted(scene.names))}), or a scene",
-                "Use the scene target, or state another scene without the target.",
-            )
         return scene.with_parameters(**stated).with_resolution(across)
 
     def film_error(

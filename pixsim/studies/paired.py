@@ -260,8 +260,6 @@ def probability_above_zero(differences: Array) -> float:
 
 
 def _mean_and_error(values: Array) -> tuple[float, float]:
-    """Return the mean of values (n,) and its standard error."""
-    if values.ndim != 1 or values.size < MIN_PAIRS:
-        raise invalid("values", f"an array of shape {values.shape}", "a list of at least 2 numbers")
+    """Return the mean of values (n,), n > 1, and its standard error."""
     mean = float(values.mean())
     return mean, float(values.std(ddof=1)) / math.sqrt(values.size)

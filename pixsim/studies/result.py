@@ -305,11 +305,10 @@ class CasesResult(StudyResult):
     def part_of(self, curve: Curve) -> StudyResult:
         """Return the result of the case of a curve."""
         case = curve.at, curve.condition, curve.alone
-        for part in self.parts:
-            first = part.curves[0]
-            if (first.at, first.condition, first.alone) == case:
-                return part
-        return self
+        firsts = ((part, part.curves[0]) for part in self.parts)
+        return next(
+            part for part, first in firsts if (first.at, first.condition, first.alone) == case
+        )
 
     @property
     def cases(self) -> tuple[StudyResult, ...]:

@@ -317,8 +317,7 @@ class Store:
 
         keys : of the rows
         """
-        if self.path is None:
-            return
+        assert self.path is not None
         stored_keys = frozenset(keys)
         if any(row["key"] not in stored_keys for row in self._intact_rows(self.path)):
             self._back_up(self.path)
@@ -352,8 +351,6 @@ class Store:
             except csv.Error as error:
                 hint = "Move the file away: its rows are then computed again."
                 raise invalid("results", f"'{path}' ({error})", allowed, hint) from None
-            except OSError as error:
-                raise invalid("results", f"'{path}' ({error.strerror})", allowed) from None
 
     def _has_numbers(self, row: Row) -> bool:
         """Return whether a row has all of its numbers: it may be of other metrics.

@@ -122,13 +122,6 @@ class NoiseBudget:
             return cause
         return NOISE if cause in self.electrons_e or cause in (FLICKER, REDUCTION) else BLUR
 
-    def rows(self) -> Iterator[tuple[str, float | None, float]]:
-        """Yield each cause with its standard deviation in electrons, None for blur and colour, and
-        its ΔE.
-        """
-        for cause, delta_e in self.delta_e.items():
-            yield cause, self.electrons_e.get(cause), delta_e
-
 
 def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -> NoiseBudget:
     """Return the noise budget of one sensor and frame.
@@ -188,10 +181,7 @@ def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
 
 def without_denoising(chain: ImagingChain) -> ImagingChain:
     """Return a chain whose development takes no noise away."""
-    develop = chain.imaging.develop
-    if not develop.denoises:
-        return chain
-    develop = develop.model_copy(update={"denoise": "none"})
+    develop = chain.imaging.develop.model_copy(update={"denoise": "none"})
     return replace(chain, imaging=chain.imaging.changed(develop=develop))
 
 
