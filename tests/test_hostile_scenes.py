@@ -335,8 +335,7 @@ def folder(tmp_path: Path) -> Path:
     ids=[f"{words[:30]} {number}" for number, (_, words) in enumerate(TEXTS)],
 )
 def test_refused_with_its_reason(text, words, folder):
-    content = text if isinstance(text, bytes) else text.encode()
-    (folder / "scene.xml").write_bytes(content)
+    (folder / "scene.xml").write_bytes(text if isinstance(text, bytes) else text.encode())
     with rejected(words) as error:
         rendered(folder / "scene.xml")
     assert str(error.value).isprintable()
@@ -767,6 +766,12 @@ TRACED = LIT + SPHERE.format(
 )
 
 
+PICTURE = SPHERE.format(
+    '<bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+    '<string name="filename" value="{}"/><boolean name="raw" value="true"/></texture></bsdf>'
+)
+
+
 def job_of(folder: Path, variant: str = VARIANT) -> TraceJob:
     text = open_scene(scene_of(folder, TRACED, lit=""), {}).text
     lens = {"type": "thinlens", "fov": 40.0, "aperture_radius": 0.0005, "focus_distance": 1.0}
@@ -850,6 +855,22 @@ def is_running(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+def test_child_ends_when_nothing_more_is_asked(tmp_path):
+    """After a picture, and after errors in a file and in a request."""
+    write_channels(tmp_path / "a.exr", {"Y": np.full((4, 4), 0.5, np.float32)}, {})
+    assert rendered(scene_of(tmp_path, PICTURE.format("a.exr"))).data.min() > 0
+    (tmp_path / "a.ply").write_bytes(BAD_MESHES["beyond.ply"][0])
+    with pytest.raises(pixsim.PixsimError, match="corner 4"):
+        ChildTracer(mesh_job(tmp_path / "a.ply")).sample_count("independent", 4)
+    tracer = ChildTracer(job_of(tmp_path))
+    assert tracer.depths(2).shape == (2, 2, 1)
+    with pytest.raises(pixsim.PixsimError, match="unexpected IndexError in the process"):
+        tracer.trace(9, film_of(), "independent", 4, 0)
+    os.close(child._child.requests)
+    child._child.requests = -1
+    assert child._child.process.wait(HANG_S) == 0
 
 
 def test_crash_of_the_child_is_an_error(tmp_path):

@@ -98,8 +98,7 @@ def test_damaged_entry_is_no_entry(
     name: str, store: Callable[[], object], load: Callable[[], object], folder: Path
 ) -> None:
     store()
-    content = (folder / "kind" / name).read_bytes()
-    for wrong in damaged(content):
+    for wrong in damaged((folder / "kind" / name).read_bytes()):
         (folder / "kind" / name).write_bytes(wrong)
         with pytest.warns(UserWarning, match="damaged"):
             assert load() is None

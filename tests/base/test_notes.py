@@ -19,7 +19,7 @@ from hypothesis import assume, given, strategies as st
 
 from pixsim.base import digits, progress
 from pixsim.base.note_kinds import NOTES
-from pixsim.base.notes import MachineWarning, Note, collected_notes
+from pixsim.base.notes import MachineWarning, Note, collected_notes, first_notes
 from pixsim.base.progress import Lines, report, share_of, stages, steps_of, watched, watched_share
 from pixsim.cli.options import Verbosity
 
@@ -98,6 +98,12 @@ def test_each_note_is_of_a_kind_and_has_the_values_of_its_template() -> None:
             name,
             call.lineno,
         )
+
+
+def test_notes_of_many_cases_end_with_the_number_of_the_others() -> None:
+    notes = [[Note("machine", words=f"core {number}")] for number in range(12)]
+    *first, last = first_notes(notes + notes)
+    assert (first, last[:16]) == ([note for (note,) in notes[:7]], "and 5 more notes")
 
 
 def test_note_keeps_its_id_in_a_process_of_a_worker_and_under_a_name() -> None:

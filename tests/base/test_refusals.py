@@ -115,6 +115,13 @@ TEXTS = {
     "[pixel]\nprnu = 2": "In per cent? Write prnu = 0.02.",
     "[pixel]\ndark_current = 3": "Write dark_current_e_per_s = 3, or",
     "[pixel]\npitch_um = 3,45": "Write numbers with a decimal point and without a unit",
+    "require = ['mtf50>=3']": "limits on the run's metrics, delta_e. Add mtf50 to metrics",
+    "[pixel]\nuncertainty = 3": "pixel.uncertainty: got 3; allowed: a table",
+    "[pixel]\nuncertainty = [3]": "pixel.uncertainty: got a list; allowed: a table",
+    "[pixel]\ndsnu = 0.1\nuncertainty.dsnu = 'x'": "pixel.uncertainty.dsnu: got a text",
+    "[pixel]\ndsnu = 0\nuncertainty.dsnu = { sd = 1, distribution = 'lognormal' }": (
+        "a lognormal distribution for 0; allowed: a number above 0"
+    ),
     "metrics = []": "metrics: got []; allowed: a list of at least 1.",
     "[camera]\ndie_mm = true": "camera.die_mm: got True; allowed: a number or a name.",
 }

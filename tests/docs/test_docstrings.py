@@ -6,15 +6,18 @@ checked.
 """
 
 import ast
+import doctest
 import importlib
 import inspect
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass
 from functools import cache, cached_property
+from pathlib import Path
 
 from helpers.public_names import CLASSES, PUBLIC, fields
 
+import pixsim
 from pixsim.base.bounds import without_bounds
 from pixsim.base.records import Record
 
@@ -174,8 +177,7 @@ def description_of(name: str, text: str) -> str:
     prose.
     """
     entry = re.search(rf"^(?:\w+, )*{name}(?:, \w+)* : (.*(?:\n +.*)*)", text, re.MULTILINE)
-    is_in_prose = re.search(rf"\b{name}\b", text)
-    return entry[1] if entry else text if is_in_prose else ""
+    return entry[1] if entry else text if re.search(rf"\b{name}\b", text) else ""
 
 
 def complaints(name: str, function: Callable) -> Iterator[tuple[str, str]]:
@@ -270,3 +272,11 @@ def complaints_of_class(kind: type) -> Iterator[str]:
 def test_docstrings_of_classes_describe_their_fields() -> None:
     missing = {name: list(complaints_of_class(kind)) for name, kind in CLASSES.items()}
     assert {name: lacks for name, lacks in missing.items() if lacks} == {}
+
+
+def test_examples_of_words_and_numbers_are_true() -> None:
+    """Those of public names are in tests/references/test_pages.py."""
+    package = Path(pixsim.__file__).parent
+    paths = [path for room in ("base", "show") for path in sorted((package / room).glob("*.py"))]
+    names = [f"pixsim.{path.parent.name}.{path.stem}" for path in paths]
+    assert not sum(doctest.testmod(importlib.import_module(name)).failed for name in names)

@@ -32,12 +32,7 @@ COMMANDS = {
 }
 # Commands whose JSON has the shared entries, too.
 FURTHER_COMMANDS = {
-    "cases": (
-        "study pixel-size --variant scalar_spectral --resolution 32 --display.dots 32"
-        " --pixel.technology 0.35um --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick"
-        " --jobs 1"
-        " --axis camera.f_number=2.8,4 --out cases"
-    ),
+    "cases": "study cases.toml --jobs 1 --variant scalar_spectral --out cases",
     "folders": "compare run two_runs/night --json",
     "picture": (
         "run run/irradiance.exr --display.dots 32 --pixel.pitch-um 84.8 --metric information"
@@ -61,6 +56,17 @@ STUDY = {
     "resolution": FINE,
     "repeats": 3,
     "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]},
+}
+
+
+# An axis that is moved alone, and conditions.
+CASES = {
+    "pitch": {"values_um": [5.3, 7.0, 8.5, 11.0, 15.0]},
+    "axis": [{"name": "PRNU", "set": "pixel.prnu", "values": [0.03], "alone": True}],
+    "condition": [
+        {"name": "day", "set": {"exposure": {"max_integration_s": 0.1}}},
+        {"name": "night", "set": {"exposure": {"max_integration_s": 0.01}}},
+    ],
 }
 
 
@@ -93,6 +99,7 @@ def answers_in(desk: Path) -> Callable[[str], Answer]:
         (desk / f"{name}.toml").write_text(f"seed = {seed}\n{text}", encoding="utf-8")
     text = tiny_toml(**merge(WHOLE_CHART, STUDY))
     (desk / "two_processes.toml").write_text(text, encoding="utf-8")
+    (desk / "cases.toml").write_text(tiny_toml(**CASES), encoding="utf-8")
     answers: dict[str, Answer] = {}
 
     def run(name: str) -> Answer:

@@ -27,5 +27,4 @@ def sheet(
 def two_sheets(folder: Path) -> list[Path]:
     """Write the sheets of a quiet and a noisy sensor, of other pixels and another shape."""
     quiet = sheet(folder / "quiet.toml", prnu=0.0)
-    noisy = sheet(folder / "noisy one.toml", 100.0, 15.0, "[64, 48]", prnu=0.0)
-    return [quiet, noisy]
+    return [quiet, sheet(folder / "noisy one.toml", 100.0, 15.0, "[64, 48]", prnu=0.0)]

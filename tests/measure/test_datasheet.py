@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.claims import Claim, check
-from helpers.commands import assert_refused, command
+from helpers.commands import assert_refused, command, output_of
 from helpers.high_range import DUAL, pixel, split_of_three
 
 import pixsim
@@ -375,6 +375,11 @@ def test_general_entries_are_measured_within_their_errors(kind: str) -> None:
     check_entries([entry for entry in general.entries if entry.standard in decoded])
     if kind != "companding":  # K has the rounding of coarse codes
         check_entries(general.entries)
+    words = " ".join(map(str, datasheet_notes(general)))
+    assert ("of the merge of" in words, "companded" in words) == (
+        general.experiment.is_merged,
+        kind == "companding",
+    )
 
     # Off the knees of companding, and off the switches, all of the curve is that of the model.
     curve = general.curve
@@ -789,8 +794,7 @@ def test_python_and_the_command_measure_the_same(tmp_path: Path, monkeypatch) ->
     (tmp_path / "sensor.toml").write_text(f"seed = 5\n{settings}")
     folder = tmp_path / "command"
     options = "--pixel.bits 12 --exposure.integration-s 0.01 --json --general"
-    code, out, err = command(f"datasheet {tmp_path}/sensor.toml {options} --out {folder}")
-    assert code == 0, err
+    out = output_of(f"datasheet {tmp_path}/sensor.toml {options} --out {folder}")
     pixel = Pixel(technology="0.35um", pitch_um=6.5, bits=12)
     exposure = Exposure(integration_s=0.01, gain_db=6)
     data = pixsim.datasheet(pixel=pixel, exposure=exposure, seed=5, general=True)

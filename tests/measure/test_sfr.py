@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.claims import check
-from helpers.commands import assert_refused, command
+from helpers.commands import assert_refused, command, output_of
 from helpers.edges import (
     DARK,
     GAINS,
@@ -391,8 +391,7 @@ def test_python_and_the_command_write_same_files(tmp_path: Path) -> None:
     path = tmp_path / "raw.exr"
     header = {"bits": 10, "black_level_dn": 20.0, "pitch_um": 5.0}
     write_channels(path, {"DN": np.rint(gaussian_edge())}, header)
-    code, out, err = command(f"sfr {path} --region 60,40,260,280 --out {tmp_path}/o --json")
-    assert (code, err) == (0, "")
+    out = output_of(f"sfr {path} --region 60,40,260,280 --out {tmp_path}/o --json")
     edge = sfr(path, region=(60, 40, 260, 280))
     assert edge.mtf50_cy_per_px != sfr(path).mtf50_cy_per_px
     summary = json.loads(out)
@@ -453,6 +452,7 @@ def test_edges_that_mislead_are_refused(name: str, call: Callable[[], object], w
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pictures")
     np.save(folder / "edge.npy", gaussian_edge())
+    np.save(folder / "complex.npy", 1j * gaussian_edge())
     np.savez(folder / "two.npz", a=EDGE, b=EDGE)
     Image.fromarray(np.zeros((64, 64), np.uint8)).save(folder / "grey8.png")
     for name in ("text.npy", "text.png"):
@@ -484,6 +484,8 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rgb.exr", "one channel of digital numbers"),
         ("edge.npy --region 1,2,3", "x0,y0,x1,y1"),
         ("edge.npy --pitch-um -1", "above 0"),
+        ("edge.npy --saturation nan", "a finite number"),
+        ("complex.npy", "real or whole numbers"),
         ("edge.npy --black-level-dn 2000", "black level is right"),
     ],
 )

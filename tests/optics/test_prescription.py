@@ -139,6 +139,12 @@ SAME: dict[str, tuple[str | bytes, str, str, float, float]] = {
         ),
         "lens.toml", "cooke_triplet", 20.0, 1e-7
     ),
+    "asphere of zeros": (
+        edited(TOML, "conic = 0.0|conic = 0.0\nasphere = { A4 = 0.0 }"), "lens.toml", "cooke_triplet", 20.0, 1e-7
+    ),
+    "neither tilted nor decentred": (
+        edited(ZMX, "  FLAP 0 6.3 0|  FLAP 0 6.3 0\n  SCBD 0 0 0\n  OBDC 0"), "lens.zmx", "US00583336-2-scaled.zmx", 24.0, 1e-9
+    ),
     "stop by its surface": (
         edited(TOML, "stop_surface = 4|"), "lens.toml", "cooke_triplet", 14.0, 1e-7
     ),
@@ -274,6 +280,18 @@ NUMBERS: dict[str, tuple[str, str, Callable, object, float]] = {
     "glass by n_d and V_d": (edited(TOML, GLASSES), ".toml", n_d, 1.62041, 1e-12),
     "glass by index": (
         edited(TOML, 'glass = "SCHOTT:F2"|glass = 1.62'), ".toml", lambda lens: n_d(lens, 2), 1.62, 1e-15
+    ),
+    "glass by index of its table": (
+        edited(TOML, 'glass = "SCHOTT:F2"|glass = { n = 1.62 }'), ".toml", lambda lens: n_d(lens, 2), 1.62, 1e-15
+    ),
+    "six digits of TOML": (
+        edited(TOML, 'glass = "SCHOTT:F2"|glass = "517642"'), ".toml", lambda lens: n_d(lens, 2), 1.517, 1e-12
+    ),
+    "paraxial image height": (
+        edited(AIR, "FTYP 0|FTYP 2"), ".zmx", lambda lens: focal_mm(lens) * math.tan(math.radians(lens.max_field_deg)), 10.0, 1e-9
+    ),
+    "fields of 0 of any kind": (
+        edited(AIR, "FTYP 0|FTYP 9", "0 7 10|0 0 0"), ".zmx", lambda lens: lens.max_field_deg + 1, 1.0, 1e-15
     ),
     "blank glass": (
         edited(ZMX, "GLAS N-BAK1 0 0 1.572500121386|GLAS ___BLANK 1 0 1.572500121386"), ".zmx", lambda lens: n_d(lens, 1), 1.572500121386, 1e-11
@@ -490,10 +508,12 @@ THIC 1 2 6 0 0
 FLWT 1 1 1 0 0
 FLWT 1 2 0 0 0
 """
+TWO = AIR + "MNUM 2 1\nTHIC 1 1 5\nTHIC 1 2 6\nYFIE 3 1 10\nYFIE 3 2 12\n"
 ACTIVE = edited(ZOOM, "MNUM 3 1|MNUM 3 2", "DISZ 46.5|DISZ 60.0")
 # text, configuration, number of the lens, expected
 CONFIGURATIONS = [
     *((ZOOM, number, thickness_mm, mm) for number, mm in ((1, 46.5), (2, 60.0), (3, 80.0))),
+    (TWO.replace("  DISZ 5\n", ""), 2, lambda lens: thickness_mm(lens, 0), 6.0),
     (ACTIVE, 1, thickness_mm, 46.5),
     (ACTIVE, 2, thickness_mm, 60.0),
     *(
@@ -527,7 +547,6 @@ F2 = 'glass = "SCHOTT:F2"|glass = '
 GLAS = "GLAS N-BAK1 0 0 1.572500121386"
 CURV = "CURV 7.061398863114783100E-002"
 DISTANCE = "DISZ INFINITY|DISZ 150"
-TWO = AIR + "MNUM 2 1\nTHIC 1 1 5\nTHIC 1 2 6\nYFIE 3 1 10\nYFIE 3 2 12\n"
 # name of the file, text, options, words
 REFUSED: list[tuple[str, str, dict, str]] = [
     *(
@@ -561,6 +580,11 @@ REFUSED: list[tuple[str, str, dict, str]] = [
             ("radius_mm = 22.01359|radius_mm = 1e-9", "radius_mm: got 1e-09"),
             ("value_mm = 10.0|", "aperture.value_mm: got none"),
             ('units = "mm"|units = "in"', "units: got"),
+            ("values = [0.48, 0.55, 0.5875618, 0.65]|values = []", "wavelengths"),
+            (
+                "curvature_per_mm = 0.045426484276303865\nradius_mm = 22.01359|",
+                "curvature_per_mm and radius_mm: got neither",
+            ),
             ("max_deg = 20.0|max_deg = 195.0", "fields.max_deg: got 195"),
         ]
     ),
@@ -623,6 +647,7 @@ REFUSED: list[tuple[str, str, dict, str]] = [
                 "N-BK7 0 0 1.5168 64.17|SCHOTT:N-BK7 4 0 0 0 0 0 0 0 0 -64.1673362374998",
                 "shift of glass 'SCHOTT:N-BK7'",
             ),
+            (edited(AIR, '  DIAM 1.0E+1 0 0 0 1 ""\n|'), "FNUM 4 0|FLOA", "FLOA, but no DIAM"),
             (AIR, "DISZ INFINITY|DISZ 1e-40", "object of .*: got 1e-40"),
             (AIR, "FNUM 4 0|FNUM 1e-40 1", "aperture of .*: got 1e-40"),
             (edited(AIR, DISTANCE), "FNUM 4 0|OBNA 1e-40 0", "aperture of .*: got 1e-40"),
@@ -694,6 +719,7 @@ REFUSED: list[tuple[str, str, dict, str]] = [
     ("lens.zmx", "a text that says nothing\n", {}, "SURF"),
     ("lens.toml", "a text that says nothing\n", {}, "TOML"),
     ("lens.zmx", BEFORE, {}, "1 surfaces"),
+    ("lens.zmx", BEFORE + "".join(f"SURF {number}\n" for number in range(1, 210)), {}, "more surf"),
     ("lens.zos", "", {}, "File, Save As"),
     ("lens.zar", "", {}, "an archive"),
     ("lens.seq", "", {}, "CODE V"),

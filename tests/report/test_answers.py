@@ -31,7 +31,7 @@ from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.paired import Pairs
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause, converged
-from pixsim.viewer.setting import Run
+from pixsim.viewer.setting import Run, stage_words
 
 FILM = FilmError(
     (256, 256), 10.0, (7.5,), (0.6,), (0.02,), "the limit of 4096 samples across for 20 pictures"
@@ -122,14 +122,21 @@ def test_headlines_of_studies_are_short(is_inside: bool, fit_swings: bool) -> No
         if no_difference_um is None:
             size = "optimal pixel size 7.50 µm" if is_inside else "no optimum between 0.47 µm and"
             assert head.startswith(f"data sheet: {size}")
-        warnings = [cause.words in head for cause in causes] + ["not converged" in head]
-        assert sum(warnings) <= 1
+        assert sum([cause.words in head for cause in causes] + ["not converged" in head]) <= 1
 
 
 SMALL = (
     "--scene slanted_edge --display.dots 120 --resolution 48 --repeats 3 --jobs 1 --variant"
     " scalar_spectral"
 )
+
+
+def test_stages_are_named_in_the_order_of_the_light() -> None:
+    shutter = {"shutter": "rolling", "line_time_us": 10.0, "frames": 4}
+    exposure = shutter | {"flicker_hz": 100.0, "flicker_depth": 0.5}
+    settings = {"lens": {"veiling_glare": 0.03}, "motion": {"image_um_per_s": [100.0, 0.0]}}
+    words = " ".join(stage_words(Run.model_validate(settings | {"exposure": exposure})))
+    assert re.match("veiling glare 3 % .*rolling shutter, .*flickers at 100 Hz .*4 exp", words)
 
 
 def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
@@ -273,5 +280,4 @@ def test_each_value_of_an_axis_is_a_comparison_of_its_own(here: Path) -> None:
     options = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1, "match": "view"}
     for light, case in zip((0.05, 100.0), content["cases"], strict=True):
         alone = pixsim.compare(files, "flat", parameters={"luminance_cd_per_m2": light}, **options)
-        expected = json.loads(json.dumps(numbers(alone)))
-        assert case == {"at": {"light": light}} | expected
+        assert case == {"at": {"light": light}} | json.loads(json.dumps(numbers(alone)))

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from helpers.answers import COMMANDS, FURTHER_COMMANDS, STUDY, Answer, answers_in
+from helpers.answers import COMMANDS, FURTHER_COMMANDS, RUNS, STUDY, Answer, answers_in
 from helpers.commands import command
 from helpers.documents import difference, differs_from_made_on
 from helpers.looks import Elements
@@ -80,7 +80,7 @@ def test_json_of_each_command_has_the_shared_entries(
     assert content[KEY] == SCHEMA == 2
     assert {*SHARED_KEYS} <= content.keys()
     assert isinstance(content["settings"], dict)
-    assert len(content["cases"]) == (2 if name == "cases" else 1)
+    assert len(content["cases"]) == (4 if name == "cases" else 1)
     assert all(note.keys() == {"id", "text"} and note["id"] in NOTES for note in content["notes"])
 
     table = content["table"]
@@ -104,6 +104,9 @@ def test_dry_run_foresees_film_frames_and_the_least_error_of_the_film(
         json.loads(command(f"{COMMANDS[name].replace(' two', f' {desk}/two')} --dry-run --json")[1])
         for name, desk in (("run", ""), ("study", answer("study").folder.parent))
     )
+    runs = [f"{answer('study').folder.parent}/{name}.toml" for name in RUNS]
+    outlines = json.loads(command("compare --resolution 96 --dry-run --json", *runs)[1])
+    assert [outlines[name]["film"]["samples"] for name in RUNS] == [[96, 96]] * 2
     assert not list(tmp_path.iterdir())
     assert run["film"]["samples"] == [128, 128]
     assert run["sensors"][0]["pixels"] == [[256, 256]]

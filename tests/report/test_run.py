@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import assert_refused, command
+from helpers.commands import assert_refused, command, output_of
 from helpers.lenses import triplet
-from helpers.lights import camera, chart
 from helpers.looks import lines_without_rows
 from helpers.runs import run_result
 from helpers.sheets import two_sheets
@@ -229,8 +228,7 @@ def test_csv_has_a_row_for_each_field() -> None:
 def test_command_and_python_write_the_same_files(tmp_path: Path) -> None:
     """Byte for byte; JSON without NaN, also for a lens whose only field is the axis."""
     options = "--object-distance-m 1 --field-deg 0 --wavelength-nm 500 --wavelength-nm 600"
-    code, out, err = command(f"lens singlet {options} --json --out", tmp_path / "out")
-    assert code == 0, err
+    out = output_of(f"lens singlet {options} --json --out", tmp_path / "out")
     assert "NaN" not in out
     data = pixsim.lens(
         "singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0]
@@ -340,12 +338,6 @@ def test_written_noise_budget_adds_up(tmp_path: Path) -> None:
     parts_delta_e = sum(float(row["delta_e"]) for row in causes)
     assert parts_delta_e == pytest.approx(result.mean_delta_e, rel=1e-6)
     assert "Noise" in (tmp_path / "report.html").read_text(encoding="utf-8")
-
-
-def test_score_shows_its_mean_in_a_notebook() -> None:
-    light = chart()
-    score = pixsim.evaluate(light, camera(light), pixsim.Pixel(pitch_um=21.2))
-    assert f"{score.mean_delta_e:.3f}"[:4] in score._repr_html_()
 
 
 def test_page_marks_a_target_and_shows_its_pixels_enlarged() -> None:

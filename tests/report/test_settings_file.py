@@ -259,3 +259,9 @@ def test_json_schema_accepts_packaged_studies(path: Path) -> None:
 def test_commands_write_template_and_schema(kind: str) -> None:
     assert command(f"template {kind}") == (0, template(kind), "")
     assert json.loads(command(f"schema {kind}")[1]) == json_schema(kind)
+
+
+def test_template_of_a_packaged_study_is_its_file() -> None:
+    _, out, _ = command("template study --of pixel-size")
+    text = packaged("data/studies")["pixel-size"].read_text(encoding="utf-8")
+    assert out.partition("\n")[2].strip() == text.strip()

@@ -44,8 +44,7 @@ def edge_loss() -> float:
     from 0 to ½; an edge loses it on one side and has it on the other.
     """
     t = (np.arange(100000) + 0.5) / 200000
-    share = (np.arccos(2 * t) - 2 * t * np.sqrt(1 - 4 * t**2)) / np.pi
-    return float(share.mean())
+    return float(((np.arccos(2 * t) - 2 * t * np.sqrt(1 - 4 * t**2)) / np.pi).mean())
 
 
 def boards(*normals: tuple[float, float, float]) -> bool:

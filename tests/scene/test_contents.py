@@ -140,8 +140,7 @@ def test_find_bodies_normals_match_mitsuba(plugin, scale, flip, tmp_path):
     turn = f'<scale value="{str(scale)[1:-1]}"/><rotate x="1" y="0.3" angle="25"/>'
     board = f"""<shape type="{plugin}"><boolean name="flip_normals" value="{flip}"/>
         <transform name="to_world">{turn}<translate z="0.7"/></transform></shape>"""
-    small = ('x="$chart_half_width"', 'x="0.0001"')
-    path = edited(tmp_path, "flat", (END, board), small)
+    path = edited(tmp_path, "flat", (END, board), ('x="$chart_half_width"', 'x="0.0001"'))
     with mitsuba_session(VARIANT) as mi:
         hit = mi.load_file(str(path)).ray_intersect(mi.Ray3f([0.05, 0.03, 0], [0, 0, 1]))
         shaded = np.array(hit.sh_frame.n)

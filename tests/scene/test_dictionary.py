@@ -55,6 +55,9 @@ EVERY_KIND = SCENE | {
 }
 
 
+FILE = {"type": "spectrum", "filename": "none.spd"}
+
+
 def with_wall(**values) -> dict:
     return SCENE | {"wall": SCENE["wall"] | values}
 
@@ -101,6 +104,13 @@ REFUSED: dict[str, tuple[dict, str]] = {
     "another root": (GREY, "type 'diffuse'"),
     "no type": (with_wall(bsdf={}), "no type at 'wall.bsdf'"),
     "a type that is a number": (with_wall(bsdf={"type": 3}), "the type 3"),
+    "an id that is a number": (with_wall(bsdf=GREY | {"id": 3}), "the id 3 at 'wall.bsdf'"),
+    "a live object": (
+        with_wall(bsdf=type("BSDF", (), {"__module__": "mitsuba.llvm"})()),
+        "mitsuba.llvm.BSDF at 'wall.bsdf'",
+    ),
+    "a spectrum of no file": (with_wall(bsdf=GREY | {"reflectance": FILE | {"filename": 3}}), "an object of int"),
+    "a spectrum that is not there": (with_wall(bsdf=GREY | {"reflectance": FILE}), "spectrum: got 'none.spd'"),
     "no such plugin": (SCENE | {"a": {"type": "sphre"}}, "'sphre' at 'a'.*Did you mean 'sphere'"),
     "a film of spectra": (
         SCENE | {"camera": CAMERA | {"film": {"type": "specfilm"}}},

@@ -24,7 +24,7 @@ from pixsim.light.exr import write_channels
 from pixsim.scene import charts
 from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.mitsuba import mitsuba_session
-from pixsim.scene.own_chart import read_luminance
+from pixsim.scene.own_chart import read_luminance, with_border
 from pixsim.scene.plan import make_plan, make_render_plan
 from pixsim.scene.variants import variant
 
@@ -48,6 +48,8 @@ ONE_NODE = (
     '<spectrum type="irregular" name="eta"><string name="wavelengths" value="500"/>'
     '<string name="values" value="1"/></spectrum>'
 )
+TWOSIDED = b'<bsdf version="3.0.0" type="twosided"><bsdf type="dielectric"/></bsdf>'
+OBJECT = '<shape type="disk"><include filename="{}" name="paint"/></shape>'
 LAMPS = (
     '<default name="white_lamps" value=""/><shape type="disk"><emitter type="area" id="lamp"/></shape>'
     '<emitter type="spot" id="spot"/>'
@@ -120,6 +122,23 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a folder": (lambda folder: load(folder), "a folder"),
     "a picture": (lambda _: load("star.png"), "csf with chart='star.png'"),
     "an empty file": (lambda folder: load(stored(folder / "scene.xml", b"")), r"scene\.xml.*readable XML"),
+    "a file of a default": (
+        lambda folder: load(stored(folder / "scene.xml", b'<default name="a" value="1"/>')),
+        "got no element",
+    ),
+    "a file of a shape": (
+        lambda folder: load(stored(folder / "scene.xml", b'<shape version="3.0.0" type="sphere"/>')),
+        "another element in .*; allowed: <scene> as the first element",
+    ),
+    "an element within a default": (
+        loaded('<default name="a" value="1"><float name="b" value="1"/></default>'),
+        "an element within <default>",
+    ),
+    "a parameter with NUL": (lambda _: load("flat", chart="a\0"), "without NUL"),
+    "what Mitsuba refuses of an included object": (
+        lambda folder: seen(OBJECT.format(stored(folder / "part.xml", TWOSIDED).name), CONSTANT)(folder),
+        r"In line 1 of 'part\.xml': .*'twosided'",
+    ),
     "half a file": (lambda folder: load(stored(folder / "scene.xml", b"<scene>")), r"scene\.xml.*readable XML"),
     "another encoding": (lambda folder: load(stored(folder / "scene.xml", b"<a>\xff\xfe</a>")), "in UTF-8"),
     "an unknown parameter": (lambda _: load("csf", spq=1), "'spq'.*Did you mean 'spp'"),
@@ -148,6 +167,12 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no such sensor": (lambda _: load("csf", sensor="tele"), "'tele'"),
     "a pinhole": (sensors(sensor_xml(FOV, "perspective")), r"'perspective' in line 1 of 'scene\.xml'.*thinlens"),
+    "the pinhole of two sensors": (
+        lambda folder: load(
+            scene_file(folder, sensor_xml(), sensor_xml(FOV, "perspective", name="hole")), sensor="hole"
+        ),
+        "sensor: got 'perspective'; allowed: thinlens",
+    ),
     "no aperture": (sensors(sensor_xml(FOV + FOCUS)), "thinlens without aperture_radius"),
     "no focus": (sensors(sensor_xml(FOV + APERTURE)), "thinlens without focus_distance"),
     "no field of view": (sensors(sensor_xml(APERTURE + FOCUS)), "thinlens without fov"),
@@ -201,6 +226,10 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         r"normalmap 'nm\.png'.*raw = true",
     ),
     "a place nowhere": (loaded(f"\n{ball('diffuse', '').replace('</shape>', NOWHERE + '</shape>')}"), "In line 5"),
+    "no name of a texture": (
+        loaded(ball("diffuse", f'<texture type="bitmap" name="reflectance">{file("")}</texture>')),
+        "texture: got '' in ",
+    ),
     "no such texture": (
         loaded(ball("diffuse", f'<texture type="bitmap" name="reflectance">{file("no")}</texture>')),
         "texture: got 'no', which does not exist, in line 4",
@@ -275,6 +304,7 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     "lux that nobody sees": (lambda _: load("target", lamp=INFRARED, lux=500), "lux.*irradiance_w_per_m2"),
     "lux of a scene that nobody sees": (lambda _: load("macbeth", lamp=INFRARED, lux=500), "lux.*unknown or 0"),
     "an angle without a lamp": (lambda _: load("csf", incidence_deg=10), "incidence_deg: .*without a lamp"),
+    "an angle in words": (lambda _: load("csf", lamp=INFRARED, incidence_deg="steep"), "'steep'"),
     "an angle of stated light": (lambda _: load("csf", lamp=INFRARED, incidence_deg=0, irradiance_w_per_m2=5), "incidence_deg.*together with irradiance"),
     "light from behind": (lambda _: load("csf", lamp=INFRARED, incidence_deg=91), "incidence_deg.*91"),
     "a lamp beside D65": (lambda _: load("csf", lamp=INFRARED, emitter_scale=1), "lamp.*emitter_scale"),
@@ -295,6 +325,18 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
     "the die of a flat field": (lambda _: pixsim.make_chart("flat", die_mm=2.0), "die_mm.*csf and target"),
     "the contrast of a flat field": (lambda _: pixsim.make_chart("flat", contrast=0.1), "contrast"),
     "a target without a camera": (lambda _: pixsim.make_chart("target", size_mm=3), "size_um"),
+    "a border of a hundred times the picture": (
+        lambda _: with_border(np.ones((2, 20_000), np.float32), 1e-3),
+        "texels with its border",
+    ),
+    "a diffuser of a plan without it": (
+        lambda _: pixsim.render(load("flat"), plan=make_render_plan(load("macbeth")), diffuser=True),
+        "a plan that was made without the diffuser",
+    ),
+    "linear that is neither": (
+        lambda folder: load("flat", chart=str(black(folder)), chart_linear="perhaps"),
+        "'perhaps'; allowed: 1 or 0",
+    ),
     "a file that is no EXR": (lambda folder: charts.write_chart(folder / "a.png", charts.flat()), r"\.exr"),
     "a chart below its lowest frequency": (lambda _: charts.csf_file(0.3, 8.0), r"max_lp_per_mm.*0\.373"),
     # Mitsuba

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import command
+from helpers.commands import output_of
 from helpers.edits import (
     NEEDS_LLVM,
     VARIANT,
@@ -109,8 +109,7 @@ def test_render_top_left_is_kept_in_files(tmp_path: Path) -> None:
     pixsim.write_chart(tmp_path / "corners.exr", texels)
     out = tmp_path / "out"
     settings = "--resolution 64 --pixel.pitch-um 42.4 --display.dots 64 --irradiance full --out"
-    code, _, err = command(f"run flat -D chart={tmp_path / 'corners.exr'} {settings}", out)
-    assert code == 0, err
+    output_of(f"run flat -D chart={tmp_path / 'corners.exr'} {settings}", out)
     pictures = {
         "irradiance.exr": pixsim.read_exr(out / "irradiance.exr").illuminance_lx(),
         "raw.exr": read_channels(out / "raw.exr")[0]["Y"],
@@ -325,8 +324,7 @@ def wall(
 
 def scene_of(folder: Path, body: str, variant: str = VARIANT, **parameters) -> Scene:
     # A wall has noise, from directions of the light; a lamp has none.
-    spp = 1024 if "constant" in body else 16
-    sensor = sensor_xml(lens_xml(38, focus_m=1), spp=spp)
+    sensor = sensor_xml(lens_xml(38, focus_m=1), spp=(1024 if "constant" in body else 16))
     path = scene_file(folder, '<integrator type="path"/>', sensor, body)
     return pixsim.load_scene(path, variant=variant, **parameters)
 
@@ -436,8 +434,7 @@ def percent_in(warning: str) -> float:
 def test_light_that_a_sky_lacks_is_said_with_its_share(end_nm: float, percent: float) -> None:
     # Of a black body of 5772 K beyond 720 nm, in an equal response from 360 nm on; cells of 10 nm
     # move it by .1 %. A filter keeps it out.
-    path = Path(__file__).parents[1] / "data/cases/4-03-sunsky-ends-at-720/sky.xml"
-    scene = load(path)
+    scene = load(Path(__file__).parents[1] / "data/cases/4-03-sunsky-ends-at-720/sky.xml")
     (warning,) = warnings_of(scene, (360, 0.5), (end_nm, 0.5))
     assert percent_in(warning) == pytest.approx(percent, abs=0.15)
     assert not warnings_of(scene, (300, 0.5), (end_nm, 0.5), cut_nm=700.0)

@@ -460,8 +460,7 @@ def test_tree_of_says_what_mitsuba_says(name: str) -> None:
     text = EVERY_KIND if name == "every kind" else load(name).text().text
     state = mitsuba.parse(text, READING)
     made = trees.tree_of(state)
-    stored = trees._from_json(json.loads(json.dumps(trees._to_json(made))))
-    for tree in (made, stored):
+    for tree in (made, trees._from_json(json.loads(json.dumps(trees._to_json(made))))):
         assert tree.id_to_index == dict(state.id_to_index)
         for node, theirs in zip(tree.nodes, state.nodes, strict=True):
             props = theirs.props

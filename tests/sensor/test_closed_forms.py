@@ -324,8 +324,7 @@ FLICKER = [
 def code_moments(level: float, sigma: float, top: int) -> tuple[float, float]:
     """Mean and variance of round(N(level, σ)) clipped to 0 … top, from the definition."""
     codes = np.arange(top + 1.0)
-    edges = norm.cdf(np.r_[-np.inf, codes[:-1] + 0.5, np.inf], level, sigma)
-    share = np.diff(edges)
+    share = np.diff(norm.cdf(np.r_[-np.inf, codes[:-1] + 0.5, np.inf], level, sigma))
     mean = float(codes @ share)
     return mean, float((codes - mean) ** 2 @ share)
 

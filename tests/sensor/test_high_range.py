@@ -314,8 +314,7 @@ def frame_of(
     exposure = exposure or TIMED
     readout = Readout.of(derive(sensor_pixel)).with_physics(**over)
     sensor = sample_sensor(readout, SHAPE, seeded(5))
-    rates = np.full(SHAPE, level_e / TIME_S)
-    frame = capture_from_rates(rates, sensor, exposure, seeded(6))
+    frame = capture_from_rates(np.full(SHAPE, level_e / TIME_S), sensor, exposure, seeded(6))
     assert isinstance(frame, MergedFrame)
     return frame
 
@@ -423,8 +422,7 @@ def test_two_gains_of_one_charge_never_beat_shot_noise_and_two_exposures_do() ->
     level_e = np.array([100.0, 1000.0, 4000.0])
     for options, beats in ((DUAL, False), ({"kind": "staggered", "ratio": 2.0}, True)):
         readout = Readout.of(derive(pixel(options | {"merge": "max_likelihood"})))
-        variance_e2 = level_variance_e2(readout, level_e, 0.0)
-        assert np.all((variance_e2 < level_e) == beats)
+        assert np.all((level_variance_e2(readout, level_e, 0.0) < level_e) == beats)
 
 
 @pytest.mark.parametrize("dsnu_e", [0.0, 8.0])
@@ -512,8 +510,7 @@ def test_merged_frames_have_no_codes_of_their_own() -> None:
     frame = frame_of(pixel(DUAL), 1000.0)
     with pytest.raises(PixsimError, match=r"readings\['high'\], readings\['low'\]"):
         _ = frame.dn
-    weights = sum(frame.reading_weights.values())
-    assert np.allclose(weights, 1)
+    assert np.allclose(sum(frame.reading_weights.values()), 1)
     assert frame_of(pixel(DUAL), 30_000.0).saturated_fraction == 1
 
 
@@ -577,8 +574,7 @@ def evaluated(sensor_pixel: Pixel, wells: float, **over):
     light = lights.patches()
     camera = lights.camera(light)
     chain = imaging_chain(light, camera, sensor_pixel)
-    time_s = wells * 22_000 / chain.white_e_per_s
-    exposure = Exposure(integration_s=time_s)
+    exposure = Exposure(integration_s=wells * 22_000 / chain.white_e_per_s)
     settings = (camera, sensor_pixel, exposure, pixsim.Display(dots=128))
     return pixsim.evaluate(light, *settings, metrics=list(over), seed=1)
 

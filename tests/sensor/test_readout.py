@@ -102,8 +102,7 @@ def test_frames_have_the_mean_and_variance_of_the_closed_forms(name: str) -> Non
     variance_dn2 = float(sensors.frame_variance_dn2(signal_e, TIME_S, readout))
     clean_dn2 = float(sensors.frame_variance_dn2(signal_e, TIME_S, reading()))
     assert not options or variance_dn2 > 1.1 * clean_dn2  # else both may lack the noise
-    frame = frame_of(readout, signal_e)
-    check_frame(name, frame, mean_dn, variance_dn2)
+    check_frame(name, frame_of(readout, signal_e), mean_dn, variance_dn2)
 
 
 @pytest.mark.parametrize("gain_db", [0.0, 12.0])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.high_range import DUAL, split_of_three
 
 import pixsim
 from pixsim import Camera, Correction, Exposure, Motion, PixsimError, SpectralImage, datasheet
@@ -42,6 +43,10 @@ SHEET = {
 }
 GRID_NM = [float(nm) for nm in range(400, 701, 10)]
 FLAT = [[nm, 0.4] for nm in GRID_NM]
+RESETS = {
+    "collector": [{"name": "a"}],
+    "reading": [{"name": name, "collector": "a", "resets": 1} for name in ("x", "y")],
+}
 RGB = {"quantum_efficiencies": dict.fromkeys("RGB", FLAT)}
 DEVICE = Readout.of(derive(Pixel(pitch_um=100.0)))
 DARKNESS = np.random.default_rng(0)
@@ -302,6 +307,56 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: T035.with_numbers({"voltage_swing_v": 2.3}, "process.x"),
         "process.x: .*2.3 exceeds",
     ),
+    # several readings
+    "a kind beside readings": (
+        lambda: pixel(readout=split_of_three(kind="split")),
+        "got kind with .*one of both",
+    ),
+    "two collectors of one name": (
+        lambda: pixel(readout=split_of_three(collector=[{"name": "large"}] * 2)),
+        "the names large, large",
+    ),
+    "a reading of no collector": (
+        lambda: pixel(readout=split_of_three(collector=[{"name": "large"}])),
+        "readings small of no .*: large",
+    ),
+    "a first collector that is no reference": (
+        lambda: pixel(
+            readout=split_of_three(
+                collector=[{"name": "large", "response": 0.5}, {"name": "small"}]
+            )
+        ),
+        "first collector, large, with response = 0.5",
+    ),
+    "three numbers of two readings": (
+        lambda: pixel(readout=DUAL | {"read_noise_e": [1, 2, 3]}),
+        "read_noise_e of 3 numbers",
+    ),
+    "a blend that ends before it begins": (
+        lambda: pixel(readout=DUAL | {"blend_from_share": 0.95}),
+        "blend_from_share = 0.95",
+    ),
+    "readings of a soft well": (
+        lambda: Pixel(readout=DUAL, well_limit="diode"),
+        "several readings, or companding, with well_limit = 'diode'",
+    ),
+    "resets without a gain": (
+        lambda: Readout.of(derive(pixel(readout=RESETS))),
+        "readout.reading.resets: got 1 of 'x'",
+    ),
+    "a burst of companded codes": (
+        lambda: Readout.of(derive(pixel(companding=[[0, 0], [4000, 1000]]))).burst(2),
+        "exposure.frames: got 2 with pixel.companding",
+    ),
+    "codes of several readings": (
+        lambda: read_out(
+            np.ones((2, 2)),
+            1.0,
+            sample_sensor(Readout.of(derive(pixel(readout=DUAL))), (2, 2), DARKNESS),
+            DARKNESS,
+        ),
+        "pixel.readout: got the readings high, low",
+    ),
     # readout and exposure
     "sum of more than 31 bits": (lambda: DEVICE.burst(2**30), "exposure.frames.*31 bits"),
     "codes of more than 31 bits": (lambda: quantise(np.zeros(1), 32), "bits: got 32"),
@@ -391,6 +446,7 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: datasheet("4t-bsi", pixel={"pitch_um": 3.0}, exposure={"gain_db": "auto"}),
         "gain_db",
     ),
+    "a PRNU beyond any float": (lambda: Pixel(prnu=10**400), "prnu: got"),
     "QE in per cent": (lambda: Pixel(quantum_efficiency=62.0), "0.62"),
 }
 

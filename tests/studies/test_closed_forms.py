@@ -536,8 +536,7 @@ def test_first_order_of_linear_model(count: int) -> None:
 
 def estimates(count: int, seed: int, share: float) -> np.ndarray:
     """(2, count): estimates and standard errors of the share of a normal input, from 128 draws."""
-    rng = np.random.default_rng(seed)
-    draws = rng.standard_normal((count, 2, 128))
+    draws = np.random.default_rng(seed).standard_normal((count, 2, 128))
     shares = [
         first_order(x[:, None], math.sqrt(share) * x + math.sqrt(1 - share) * noise, ["x"])["x"]
         for x, noise in draws

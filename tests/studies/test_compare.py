@@ -144,8 +144,7 @@ def test_one_part_of_the_scene_is_scored(match: str, tmp_path: Path) -> None:
     die_mm = [case.camera.die_mm for case in group.cases]
     assert group.display.dots == pixels_of(fine)[1], "those of the common field"
     assert pixels_of(coarse) == pixels_on(coarse.camera.die_um, 21.3)
-    widest = max(np.divide(pitch_mm, die_mm))
-    assert group.border == pytest.approx(1.5 * widest, rel=1e-12)
+    assert group.border == pytest.approx(1.5 * max(np.divide(pitch_mm, die_mm)), rel=1e-12)
     cycles = [float(case.scene.parameters[MAX_LP_PER_MM]) for case in group.cases]
     nyquist_cycles = die_mm[1] / (2 * pitch_mm[1])
     np.testing.assert_allclose(np.multiply(cycles, die_mm), nyquist_cycles, rtol=1e-11)

@@ -196,8 +196,7 @@ def test_coarser_film_conserves_light(planes: dict, factor: int) -> None:
 
 def test_coarser_film_has_the_light_beyond_the_picture() -> None:
     whole = np.random.default_rng(7).random((24, 24)).astype(np.float32)
-    fine = light(np.ones((16, 16))).with_planes(whole[None], margin=4)
-    coarse = coarser(fine, 2)
+    coarse = coarser(light(np.ones((16, 16))).with_planes(whole[None], margin=4), 2)
     assert (coarse.shape, coarse.margin) == ((8, 8), 2)
     np.testing.assert_allclose(coarse.whole.planes[0], block_means(whole, 12), rtol=1e-6)
 

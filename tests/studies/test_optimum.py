@@ -450,8 +450,7 @@ def test_fit_curve_interval_of_exact_values_is_all_between_sizes(curve: str) -> 
     assert 0.0074 < fit.optimum.half_width_um / fit.optimum.pitch_um < 0.01
     assert 0.99 < fit.optimum.between_sizes_share <= 1
     assert 0 < added({"": sensors}, {"": more}) <= MAX_NEAR_BEST
-    noisy = truth_of(curve.removesuffix("_exact"))
-    noisy_study, sensors = simulated_even(noisy, 0, 11)
+    noisy_study, sensors = simulated_even(truth_of(curve.removesuffix("_exact")), 0, 11)
     assert 0 <= noisy_study.fit(sensors).optimum.between_sizes_share < 0.5
 
 

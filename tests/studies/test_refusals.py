@@ -80,6 +80,8 @@ REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
         ("above 0",),
     ),
     "axis with an empty text": (partial(axis, values=[""]), ("a number, a name",)),
+    "axis with a name that is a formula": (partial(axis, values=["=1"]), ("begins with =",)),
+    "axis of a setting with =": (partial(axis, set="camera.f=1", values=[2]), ("dotted",)),
     "axis of steps that are too small": (
         partial(axis, count=900, **{"from": 2.0, "to": 2.1}),
         ("occurs twice",),
@@ -115,6 +117,10 @@ REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     "a single axis and a condition of one setting": (
         partial(tiny, axis=[PRNU], condition=condition({"pixel": {"prnu_percent": 1.0}})),
         ("pixel.prnu_percent", "'PRNU'"),
+    ),
+    "the paper's statements on another scene": (
+        partial(tiny, paper=True, scene={"file": "flat"}),
+        ("scene.file = 'csf'", "'0.35um'"),
     ),
     "conditions without weight": (
         partial(tiny, condition=[DAY | {"weight": 0.0}]),
@@ -214,6 +220,10 @@ REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     "axes of a file that are no list": (partial(axes_of, ["a=1"], {"name": "a"}), ("a list",)),
     # Light that is given
     "a scene beside light": (partial(given, scene="csf"), ("scene", "light")),
+    "light without the target alone": (
+        lambda: pixsim.study("tiny.toml", "out", without=LIGHT),
+        ("without", "light as well"),
+    ),
     "parameters beside light": (partial(given, parameters={"resolution": 64}), ("parameters",)),
     "an axis of the lens beside light": (partial(given, axis=[LENS]), ("camera.f_number",)),
     "a condition of the scene beside light": (

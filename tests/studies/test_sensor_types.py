@@ -487,6 +487,19 @@ def test_verdicts_are_shares_of_the_types(done: tuple[object, Path]) -> None:
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
 
 
+def test_page_has_the_distribution_of_each_optimum(
+    done: tuple[object, Path], tmp_path: Path
+) -> None:
+    result, _ = done
+    page = result.write(tmp_path).read_text(encoding="utf-8")
+    for number, types in enumerate(result.uncertainty, 1):
+        low, median, high = types.optimum.quantiles.values()
+        words = f"median {median:.2f} µm, nine tenths from {low:.2f} µm to {high:.2f} µm"
+        assert f"optimum by visual noise of 8 sensor types: {words}" in page
+        text = (tmp_path / f"sensor_types_{number}.csv").read_text(encoding="utf-8")
+        assert text.splitlines() == types.to_csv().splitlines()
+
+
 @pytest.fixture
 def sheets(tmp_path: Path) -> tuple[Path, list[str]]:
     """A study of two sheets and two technologies, whose [pixel] has an uncertain PRNU."""

@@ -87,6 +87,11 @@ def test_reference_is_one_whose_error_is_below_a_third_of_the_smallest_shown(
     accuracy = Accuracy("csf", rungs, reference, tuple(CASES), header, Run(), 1.0)
     assert ("no reference" in reference_words(accuracy)) == (not is_sure)
     assert accuracy.to_csv().count("\n") == 1 + 3
+    drawn = accuracy.plot().axes[0].get_legend_handles_labels()[1]
+    assert (drawn, repr(accuracy)[:16]) == (
+        ["measured", "stated"][not is_sure :],
+        "<Accuracy of csf",
+    )
 
 
 @pytest.mark.parametrize(

@@ -1066,6 +1066,5 @@ def test_rounding_is_noise_from_half_a_code_of_noise_in_each_exposure(
     """The variance of a sum has that of each exposure, and LSB²/12 for its rounding."""
     readout = Readout.of(derive(Pixel(technology="4t-bsi", pitch_um=3.0))).burst(exposures)
     variance_e2 = exposures * (sigma_dn**2 + 1 / 12) / readout.dn_per_e**2
-    refusal = pytest.raises(NoNumberError) if is_refused else nullcontext()
-    with refusal:
+    with pytest.raises(NoNumberError) if is_refused else nullcontext():
         _check_rounding(METRICS["detectability"], readout, variance_e2)

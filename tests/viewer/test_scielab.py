@@ -198,8 +198,7 @@ def shown_pair(kind: str) -> tuple[np.ndarray, np.ndarray]:
         "bars": np.where(np.indices((SIDE, SIDE)).sum(axis=0) // 4 % 2, 1.0, 0.0),
     }[kind]
     noise = 0.02 * np.random.default_rng(7).standard_normal(level.shape)
-    codes = np.rint(255 * np.clip(level + noise, 0, 1) ** (1 / 2.2))
-    return level, (codes / 255) ** 2.2
+    return level, (np.rint(255 * np.clip(level + noise, 0, 1) ** (1 / 2.2)) / 255) ** 2.2
 
 
 @pytest.mark.parametrize("filters", ["published", "zhang1996"])
