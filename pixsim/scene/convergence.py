@@ -292,22 +292,19 @@ def render_until(
     time limit leaves no picture.
     """
     clock = _Clock(max_seconds)
-    renderer = Renderer(
-        scene, camera, plan, seed, use_cache=use_cache, ends_at_s=clock.first_group_ends_at_s
-    )
-    renderers = [renderer]
-    if background is not None:
-        bare_scene, bare_plan = background
-        renderers.append(
-            Renderer(
-                bare_scene,
-                camera,
-                bare_plan,
-                seed,
-                use_cache=use_cache,
-                ends_at_s=clock.first_group_ends_at_s,
-            )
+    planned = [(scene, plan)] if background is None else [(scene, plan), background]
+    renderers = [
+        Renderer(
+            planned_scene,
+            camera,
+            scene_plan,
+            seed,
+            use_cache=use_cache,
+            ends_at_s=clock.first_group_ends_at_s,
         )
+        for planned_scene, scene_plan in planned
+    ]
+    renderer = renderers[0]
     _ = renderer.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.samples.exact:
         return _exact(renderers, render_noise, progress)
