@@ -186,9 +186,9 @@ def _as_stored(frame: Frame) -> RawFrame:
     """Return a frame as a file holds it: several readings are one below the other."""
     count = frame.exposures
     white_dn = 2**frame.bits - 1 if frame.white_level_dn is None else frame.white_level_dn
-    facts: dict[str, Any] = {name: getattr(frame, name) for name in FACTS}
-    facts |= {"white_level_dn": white_dn}
-    facts = {name: float(value) for name, value in facts.items()} | {"bits": int(frame.bits)}
+    stated = {name: getattr(frame, name) for name in FACTS} | {"white_level_dn": white_dn}
+    facts: dict[str, Any] = {name: float(value) for name, value in stated.items()}
+    facts["bits"] = int(frame.bits)
     if not isinstance(frame, MergedFrame):
         # Of a single exposure, the codes tell which pixels were saturated.
         saturated = frame.saturated if count > 1 else None

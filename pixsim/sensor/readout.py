@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -483,7 +483,7 @@ def read_out(
         names = ", ".join(reading.name for reading in sensor.readout.readings)
         hint = "Leave pixel.readout out, or give one of its readings as a pixel."
         raise invalid("pixel.readout", f"the readings {names}", "one reading", hint)
-    return _expose(mean_e, integration_s, sensor, rng)[0]
+    return _expose(mean_e, integration_s, sensor, rng).dn[0]
 
 
 def read_electrons(
@@ -492,7 +492,24 @@ def read_electrons(
     """Return the merged photo-electrons of one frame of a sensor of several readings, (rows,
     columns).
     """
-    return _expose_readings(mean_e, integration_s, sensor, rng)[1].astype(float)
+    estimate_e = _expose(mean_e, integration_s, sensor, rng).estimate_e
+    assert estimate_e is not None  # of several readings
+    return estimate_e.astype(float)
+
+
+class _Exposed(NamedTuple):
+    """What a frame is made of; of a burst, sums over its subexposures.
+
+    dn : codes of all readings, (K, rows, columns)
+    saturated : which pixels are full in the last reading, (rows, columns), in any subexposure
+    saturated_fraction : as `Frame` defines it
+    estimate_e : merged photo-electrons of several readings, (rows, columns), or None
+    """
+
+    dn: NDArray[np.int32]
+    saturated: NDArray[np.bool_]
+    saturated_fraction: float
+    estimate_e: NDArray[np.float32] | None = None
 
 
 def _expose(
@@ -501,35 +518,19 @@ def _expose(
     sensor: Sensor,
     rng: np.random.Generator,
     subexposures_e: Sequence[Array] = (),
-) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
-    """Return the frame of `read_out`, its saturated pixels and their fraction, as `Frame` defines
-    them.
-
-    subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
-    """
-    _check_shape(mean_e, sensor)
-    if sensor.readout.exposures > 1:
-        return _expose_burst(mean_e, integration_s, sensor, rng, subexposures_e)
-    (dn,), saturated, fraction = _expose_once(mean_e, integration_s, sensor, rng)
-    return dn, saturated, fraction
-
-
-def _expose_readings(
-    mean_e: Array,
-    integration_s: float,
-    sensor: Sensor,
-    rng: np.random.Generator,
-    subexposures_e: Sequence[Array] = (),
-) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Return the codes of all readings, (K, rows, columns), the merged photo-electrons, and which
-    pixels are full in the last reading, (rows, columns) each; of a burst, sums over its
-    subexposures.
+) -> _Exposed:
+    """Expose a frame of mean photo-electrons, (rows, columns).
 
     subexposures_e : mean electrons in each subexposure of a burst, if they differ; else none
     """
     _check_shape(mean_e, sensor)
     readout = sensor.readout
     count = readout.exposures
+    if not readout.readings and count > 1:
+        return _expose_burst(mean_e, integration_s, sensor, rng, subexposures_e)
+    if not readout.readings:
+        return _expose_once(mean_e, integration_s, sensor, rng)
+
     time_s = integration_s / count
     total_dn = np.zeros((len(readout.readings), *mean_e.shape), np.int32)
     estimate_e = np.zeros(mean_e.shape, np.float32)
@@ -538,21 +539,19 @@ def _expose_readings(
     parts = [slice(None)]
     if readout.merge.merge != "max_likelihood":
         parts = [*strips(*mean_e.shape)]
-
     for photo_e in subexposures_e or [mean_e if count == 1 else mean_e / count] * count:
-        dn, is_full, _ = _expose_once(photo_e, time_s, sensor, rng)
-        total_dn += dn
-        saturated |= is_full
+        exposed = _expose_once(photo_e, time_s, sensor, rng)
+        total_dn += exposed.dn
+        saturated |= exposed.saturated
         for rows in parts:
-            estimate_e[rows] += merged(readout, [*dn[:, rows]], time_s)
-    return total_dn, estimate_e, saturated
+            estimate_e[rows] += merged(readout, [*exposed.dn[:, rows]], time_s)
+    return _Exposed(total_dn, saturated, float(saturated.mean()), estimate_e)
 
 
 def _expose_once(
     mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator
-) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
-    """Return the codes of all readings in one exposure, (K, rows, columns), and of the last one
-    which pixels are full, (rows, columns), and the fraction that saturates.
+) -> _Exposed:
+    """Expose all readings once.
 
     A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn
     before its read noise, and once for all readings of a collector.
@@ -586,14 +585,18 @@ def _expose_once(
                         dark_e = np.full(charge_e.shape, reading.capacitor_e(integration_s))
                         capacitors_e[reading.collector] = _shot_noise(dark_e, rng)
                     charge_e = charge_e + capacitors_e[reading.collector]
-                is_full, count = _read_level(
-                    charge_e, integration_s, reading, sensor, rows, rng, codes[rows], work[0]
+                gain: Array | float = 1 + reading.stated.gain_error
+                if reading.name in sensor.gain_errors:
+                    gain = gain + sensor.gain_errors[reading.name][rows]
+                offsets_e = _offset_maps_e(sensor.diodes[reading.photodiode], rows)
+                is_full, is_saturating = _read_level(
+                    charge_e, integration_s, reading, offsets_e, rng, codes[rows], gain=gain
                 )
             saturated[rows] = is_full
-            saturated_counts.append(count)
+            saturated_counts.append(int(np.count_nonzero(is_saturating)))
 
     _by_block(expose, mean_e.shape, rng)
-    return dn, saturated, sum(saturated_counts) / max(saturated.size, 1)
+    return _Exposed(dn, saturated, sum(saturated_counts) / max(saturated.size, 1))
 
 
 def _mean_charge_e(
@@ -624,16 +627,19 @@ def _read_level(
     charge_e: Array,
     integration_s: float,
     reading: Reading,
-    sensor: Sensor,
-    rows: slice,
+    offsets_e: Sequence[Array],
     rng: np.random.Generator,
     dn: NDArray[np.int32],
-    work: Array,
-) -> tuple[NDArray[np.bool_], int]:
-    """Write the codes of some rows to `dn`; return which pixels are full, and how many saturate.
+    *,
+    row_e: Array | None = None,
+    gain: Array | float = 1.0,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Write the codes of some pixels to `dn`; return which are full, and which saturate.
 
-    charge_e : generated charge of these rows
-    work : a work array of as many rows or more
+    charge_e : generated charge of these pixels
+    offsets_e : fixed offsets
+    row_e : noise of their rows; None draws it
+    gain : over that of the reading
     """
     readout = reading.readout
     pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
@@ -645,17 +651,16 @@ def _read_level(
     is_full = full_pixels(charge_e, level, readout)
 
     if pixel_sigma_e:
-        noise = work[: len(level)]
+        noise = np.empty(level.shape)
         _draw_gaussian(pixel_sigma_e, noise, rng)
         level += noise
-    if row_sigma_e:
+    if row_e is not None:
+        level += row_e
+    elif row_sigma_e:
         level += row_sigma_e * rng.standard_normal((level.shape[0], 1))
-    for offset_e in _offset_maps_e(sensor.diodes[reading.photodiode], rows):
+    for offset_e in offsets_e:
         level += offset_e
 
-    gain: Array | float = 1 + reading.stated.gain_error
-    if reading.name in sensor.gain_errors:
-        gain = gain + sensor.gain_errors[reading.name][rows]
     level *= readout.dn_per_e * gain
     black_level_dn = readout.adc.black_level_dn + reading.stated.black_error_dn
     if black_level_dn:
@@ -665,7 +670,7 @@ def _read_level(
     else:
         dn[...] = readout.adc.codes_of(level)
     at_top = dn >= readout.adc.last_code_dn
-    return is_full | at_top, int(np.count_nonzero(is_saturating | at_top))
+    return is_full | at_top, is_saturating | at_top
 
 
 def _check_shape(mean_e: Array, sensor: Sensor) -> None:
@@ -692,16 +697,18 @@ def _expose_burst(
     sensor: Sensor,
     rng: np.random.Generator,
     subexposures_e: Sequence[Array],
-) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
-    """Return `_expose` of a burst, for the mean electrons and the time of all its subexposures.
+) -> _Exposed:
+    """Expose a burst of a pixel that is read once, for the mean electrons and the time of all its
+    subexposures.
 
     The sum of the codes of pixels that no subexposure clips, and whose noise makes rounding a noise
     (`quantise`), is drawn at once. Of all other pixels each subexposure is read out.
     """
-    subexposure_readout = sensor.readout.burst(1)
     count = sensor.readout.exposures
+    (reading,) = with_merge(sensor.readout.burst(1)).readings
     time_s = integration_s / count
-    row_sigma_e = constant_e(subexposure_readout, is_temporal=True, along="row")
+    row_sigma_e = constant_e(reading.readout, is_temporal=True, along="row")
+    photos_e = subexposures_e or [mean_e / count]
 
     columns = sensor.shape[1]
     dn = np.empty(mean_e.shape, np.int32)
@@ -711,7 +718,11 @@ def _expose_burst(
     def expose(block: slice, rng: np.random.Generator) -> None:
         for part in strips(block.stop - block.start, columns):
             rows = slice(block.start + part.start, block.start + part.stop)
-            charges_e = _subexposure_charges_e(mean_e, time_s, sensor, rows, subexposures_e)
+            shape = 2, rows.stop - rows.start, columns
+            charges_e = [
+                _mean_charge_e(photo_e[rows], time_s, reading, sensor, rows, np.empty(shape))
+                for photo_e in photos_e
+            ]
             offset_e = np.zeros(charges_e[0].shape)
             for map_e in _offset_maps_e(sensor, rows):
                 offset_e += map_e
@@ -719,49 +730,35 @@ def _expose_burst(
             if row_sigma_e:
                 row_noise = row_sigma_e * rng.standard_normal(row_noise.shape)
 
-            codes = _draw_summed_codes(charges_e, offset_e, row_noise, subexposure_readout, rng)
-            is_safe = _never_clips(charges_e, offset_e, row_noise, subexposure_readout, time_s)
+            codes = _draw_summed_codes(charges_e, offset_e, row_noise, reading.readout, rng)
+            is_safe = _never_clips(charges_e, offset_e, row_noise, reading.readout, time_s)
             clipped = np.nonzero(~is_safe)
-            saturated_count = 0
-            if clipped[0].size:
-                clipped_charges_e = [charge_e[clipped] for charge_e in charges_e]
-                clipped_rows = row_noise[:, clipped[0], 0]
-                codes[clipped], is_full, is_saturating = _read_one_by_one(
-                    clipped_charges_e,
-                    offset_e[clipped],
-                    clipped_rows,
-                    subexposure_readout,
+            clipped_e = [charge_e[clipped] for charge_e in charges_e]
+            clipped_offset_e = offset_e[clipped]
+            total_dn, single_dn = np.zeros((2, clipped[0].size), np.int32)
+            is_full, is_saturating = np.zeros((2, clipped[0].size), bool)
+            for number, row_e in enumerate(row_noise[:, clipped[0], 0]):
+                charge_e = clipped_e[number % len(clipped_e)]
+                is_now_full, saturates = _read_level(
+                    np.asarray(_shot_noise(charge_e, rng), float),
                     time_s,
+                    reading,
+                    [clipped_offset_e],
                     rng,
+                    single_dn,
+                    row_e=row_e,
                 )
-                saturated[rows][clipped] = is_full
-                saturated_count = int(np.count_nonzero(is_saturating))
+                total_dn += single_dn
+                is_full |= is_now_full
+                is_saturating |= saturates
+            codes[clipped] = total_dn
+            saturated[rows][clipped] = is_full
 
             np.copyto(dn[rows], codes, casting="unsafe")  # whole numbers
-            saturated_counts.append(saturated_count)
+            saturated_counts.append(int(np.count_nonzero(is_saturating)))
 
     _by_block(expose, mean_e.shape, rng)
-    return dn, saturated, sum(saturated_counts) / max(dn.size, 1)
-
-
-def _subexposure_charges_e(
-    mean_e: Array, time_s: float, sensor: Sensor, rows: slice, subexposures_e: Sequence[Array]
-) -> list[Array]:
-    """Return the mean charge of light and dark in each subexposure of some rows, (rows, columns);
-    a single one if all are the same.
-
-    mean_e : mean photo-electrons of the whole burst, (rows, columns)
-    time_s : of a subexposure
-    subexposures_e : mean photo-electrons in each subexposure, if they differ; else none
-    """
-    gain = 1.0 if sensor.gain is None else sensor.gain[rows]
-    dark_e: Array | float = sensor.readout.dark_current_e_per_s * time_s
-    if dark_e and sensor.dark_gain is not None:
-        dark_e = dark_e * sensor.dark_gain[rows]
-    if not subexposures_e:
-        return [mean_e[rows] * (gain / sensor.readout.exposures) + dark_e]
-
-    return [photo_e[rows] * gain + dark_e for photo_e in subexposures_e]
+    return _Exposed(dn[None], saturated, sum(saturated_counts) / max(dn.size, 1))
 
 
 def _never_clips(
@@ -770,7 +767,7 @@ def _never_clips(
     """Return which pixels no subexposure clips, and whose noise makes rounding a noise, (rows,
     columns).
 
-    charges_e : mean charges of the subexposures, from `_subexposure_charges_e`
+    charges_e : mean charges of the subexposures; a single one if all are the same
     offset_e : fixed offsets, (rows, columns)
     row_noise : (subexposures, rows, 1) electrons
     readout : of one subexposure
@@ -820,46 +817,6 @@ def _draw_summed_codes(
     level_e += sigma_e * rng.standard_normal(level_e.shape)
     level_e += count * offset_e + row_noise.sum(axis=0)
     return np.rint(readout.dn_per_e * level_e + count * readout.adc.black_level_dn)
-
-
-def _read_one_by_one(
-    charges_e: Sequence[Array],
-    offset_e: Array,
-    row_noise: Array,
-    readout: Readout,
-    time_s: float,
-    rng: np.random.Generator,
-) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Read out each subexposure of some pixels. Return the sums of their codes, which pixels were
-    full in any subexposure, and which began to saturate, (n,) each.
-
-    charges_e : mean charges of the subexposures, (n,); a single one if all are the same
-    offset_e : fixed offsets, (n,)
-    row_noise : (subexposures, n) electrons
-    readout : of one subexposure
-    """
-    size = offset_e.size
-    total_dn = np.zeros(size)
-    is_full = np.zeros(size, bool)
-    is_saturating = np.zeros(size, bool)
-    full_e = saturation_level_e(time_s, readout)
-    pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")
-
-    for number, row_e in enumerate(row_noise):
-        charge_e = charges_e[number % len(charges_e)]
-        generated_e = np.asarray(_shot_noise(charge_e, rng), float)
-        stored_e = stored_signal_e(generated_e, time_s, readout)
-        is_saturating |= generated_e >= full_e
-        is_full |= full_pixels(generated_e, stored_e, readout)
-
-        level_e = stored_e + pixel_sigma_e * rng.standard_normal(size)
-        level_e += offset_e + row_e
-        level_dn = readout.dn_per_e * level_e + readout.adc.black_level_dn
-        codes = np.clip(np.rint(level_dn), 0, readout.adc.top_code_dn)
-        is_full |= codes >= readout.adc.top_code_dn
-        is_saturating |= codes >= readout.adc.top_code_dn
-        total_dn += codes
-    return total_dn, is_full, is_saturating
 
 
 def _by_block(
@@ -964,19 +921,12 @@ def capture_from_rates(
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, readout)
     exposed = sensor if readout is sensor.readout else replace(sensor, readout=readout)
     subexposures_e = [rate * (time_s / exposure.frames) for rate in subexposure_rates]
-    if readout.readings:
-        codes, estimate_e, saturated = _expose_readings(
-            mean_e, time_s, exposed, rng, subexposures_e
-        )
-        names = [reading.name for reading in readout.readings]
-        return MergedFrame(
-            **_frame_fields(mean_e, time_s, readout, float(saturated.mean()), saturated),
-            corrected_e=estimate_e,
-            readings=dict(zip(names, codes, strict=True)),
-            readout=readout,
-        )
-    dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, subexposures_e)
-    return Frame(dn=dn, **_frame_fields(mean_e, time_s, readout, fraction, saturated))
+    dn, saturated, fraction, estimate_e = _expose(mean_e, time_s, exposed, rng, subexposures_e)
+    fields = _frame_fields(mean_e, time_s, readout, fraction, saturated)
+    if not readout.readings:
+        return Frame(dn=dn[0], **fields)
+    codes = {reading.name: code for reading, code in zip(readout.readings, dn, strict=True)}
+    return MergedFrame(**fields, corrected_e=estimate_e, readings=codes, readout=readout)
 
 
 def make_frame(
