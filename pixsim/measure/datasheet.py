@@ -166,11 +166,6 @@ class DataSheet(Result):
         """Number of pixels of the device."""
         return math.prod(self.experiment.sensor.shape)
 
-    @property
-    def of_rows(self) -> RowNoise:
-        """Temporal noise that the pixels of a row share, by the pixel's parameters."""
-        return _row_noise(self.experiment)
-
     @cached_property
     def transfer(self) -> PhotonTransfer:
         """Gain, responsivity, dark noise and saturation from the light series."""

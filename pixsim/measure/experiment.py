@@ -11,7 +11,7 @@ does not depend on which other frames are captured.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -130,13 +130,12 @@ class Experiment:
         """Frames as the device hands them on, (rows, columns): merged electrons of several
         readings, or codes, companded if its ADC does so.
         """
-        mean_e = np.full(self.whole.shape, photons * self.efficiency)
+        sensor = self.whole if self.is_merged else self.sensor
+        read: Callable[..., NDArray[Any]] = read_electrons if self.is_merged else read_out
+        mean_e = np.full(sensor.shape, photons * self.efficiency)
         for index in range(count):
             rng = stream("datasheet", self.seed, *key, index)
-            if self.is_merged:
-                yield read_electrons(mean_e, self.integration_s, self.whole, rng)
-            else:
-                yield read_out(mean_e, self.integration_s, self.sensor, rng)
+            yield read(mean_e, self.integration_s, sensor, rng)
 
     @property
     def is_merged(self) -> bool:

@@ -23,7 +23,7 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
-from pixsim.sensor.merge import by_level, fixed_pattern_e2, mean_weights, merged_variance_e2
+from pixsim.sensor.merge import by_level, fixed_patterns_e2, mean_weights, merged_variance_e2
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, read_electrons, read_out, sample_sensor
@@ -76,12 +76,13 @@ def correct(
 
         dn : codes, or the merged electrons of several readings
         """
+        if dark_rows is not None:
+            clamp = read(np.zeros(dark_rows.shape), time_s, dark_rows, rng)
+            dn_per_e = 1.0 if readout.readings else frame.dn_per_e
+            return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / dn_per_e, float)
         if readout.readings:
-            return _above_dark_rows(dn, time_s, dark_rows, rng)
-        if dark_rows is None:
-            return np.asarray((dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e)
-        clamp = read_out(np.zeros(dark_rows.shape), time_s, dark_rows, rng)
-        return np.asarray((dn - clamp.mean(axis=0, keepdims=True)) / frame.dn_per_e, float)
+            return dn
+        return np.asarray((dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e)
 
     def mean_frame_e(
         count: int, light_e: Array | float, rng: np.random.Generator, rows_rng: np.random.Generator
@@ -134,16 +135,6 @@ def correct(
             _replace_defects(saturated_share, defects, frame.layout)
             saturated = saturated_share > ROUNDING
     return replace(frame, corrected_e=picture.astype(np.float32), saturated=saturated)
-
-
-def _above_dark_rows(
-    merged_e: Array, time_s: float, dark_rows: Sensor | None, rng: np.random.Generator
-) -> Array:
-    """Return merged electrons less the mean of the dark rows in each column, if there are any."""
-    if dark_rows is None:
-        return merged_e
-    clamp = read_electrons(np.zeros(dark_rows.shape), time_s, dark_rows, rng)
-    return np.asarray(merged_e - clamp.mean(axis=0, keepdims=True))
 
 
 def _channel_masks(layout: Layout | None, shape: tuple[int, int]) -> list[NDArray[np.bool_]]:
@@ -339,17 +330,15 @@ def _merged_residual_e2(
 
     dark_weights = weights(np.zeros(1)) if correction.dark_frames else 0.0
     flat_weights = weights(np.array([flat_e])) if correction.flat_frames else dark_weights
+    gain_weights = flat_weights if correction.flat_frames else 0.0
 
     def offsets_e2(level_e: Array) -> Array:
         left = weights(level_e) - dark_weights - level_e / flat_e * (flat_weights - dark_weights)
-        return fixed_pattern_e2(readout, 0.0 * level_e, integration_s, left)
+        return fixed_patterns_e2(readout, level_e, integration_s, left)[1]
 
-    def gain_e2(level_e: Array) -> Array:
-        left = weights(level_e)
-        if correction.flat_frames:
-            left = left - flat_weights
-        both_e2 = fixed_pattern_e2(readout, level_e, integration_s, left)
-        return both_e2 - fixed_pattern_e2(readout, 0.0 * level_e, integration_s, left)
+    def gains_e2(level_e: Array) -> Array:
+        left = weights(level_e) - gain_weights
+        return fixed_patterns_e2(readout, level_e, integration_s, left)[0]
 
     ratio = signal_e / flat_e
     offsets = by_level(offsets_e2, signal_e) * (1 + clamp)
@@ -358,6 +347,5 @@ def _merged_residual_e2(
         offsets += (1 - ratio) ** 2 * dark_e2 * (1 + clamp) / correction.dark_frames
     if correction.flat_frames:
         flat = ratio**2 * (float(temporal(flat_e)) + clamp * dark_e2) / correction.flat_frames
-    return Residual(
-        temporal(signal_e) + clamp * dark_e2, offsets, flat, by_level(gain_e2, signal_e)
-    )
+    gains = by_level(gains_e2, signal_e)
+    return Residual(temporal(signal_e) + clamp * dark_e2, offsets, flat, gains)

@@ -82,8 +82,8 @@ def charges_of_codes_e(readout: Readout, codes: Sequence[NDArray[Any]]) -> Array
 
 
 def _shares(readout: Readout, charges_e: Array) -> NDArray[Any]:
-    """Return the share, 0 to 1, that each reading has of what is left by more sensitive ones,
-    (K, n); that of the last one is 1.
+    """Return the share, 0 to 1, that each reading has of the rest that more sensitive ones leave,
+    (K, n); 1 for the last one.
 
     charges_e : of the readings with their dark charge, (K, n)
     """
@@ -100,7 +100,7 @@ def _shares(readout: Readout, charges_e: Array) -> NDArray[Any]:
 
 
 def _nested(share: NDArray[Any], parts: Array) -> Array:
-    """Return parts of the readings, (K, ...), merged by their shares of what is left, (K, n)."""
+    """Return parts of the readings, (K, ...), merged by their shares of the rest, (K, n)."""
     result = share[-1] * parts[-1]
     for number in reversed(range(len(share) - 1)):
         result = result + share[number] * (parts[number] - result)
@@ -329,7 +329,7 @@ def _passing(
     z = (end_e - limit_e) / spread_e
     passing = float(scipy.special.ndtr(z))
 
-    # Their mean, before it is rounded, is that of the tail of a normal law.
+    # Their mean, before it is rounded: of the tail of a normal law.
     density = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
     read_e = limit_e - spread_e * density / max(passing, _MIN_PASSING)
     charges_e[:number] = math.inf
@@ -354,39 +354,34 @@ def _normal_nodes(charge_e: Array, sigma_e: Array, ends_e: Array) -> tuple[Array
     return z, density / density.sum(axis=(0, 2), keepdims=True)
 
 
-def fixed_pattern_e2(
+def fixed_patterns_e2(
     readout: Readout, level_e: Array, integration_s: float, weights: Array
-) -> Array:
-    """Return the variance of the estimate over pixels by gain, DSNU and offsets, (n,).
+) -> tuple[Array, Array]:
+    """Return the variances of the estimate over pixels by gains, and by DSNU and offsets, (n,)
+    each.
 
     level_e : mean electrons of light of the first collector in a frame
     integration_s : of a frame
     weights : of the readings, (K, n)
     """
-    response = _responses(readout)
-    patterns_e = (
-        _numbers(readout, lambda reading: reading.readout.prnu) * level_e,
-        integration_s * _numbers(readout, _dark_spread_e_per_s) / response,
-        _numbers(readout, lambda reading: reading.readout.burst(readout.exposures).offset_e)
-        / response,
-    )
-    diodes = np.array([reading.photodiode for reading in readout.readings])
+    parts = weights / _responses(readout)
+    diodes = [reading.photodiode for reading in readout.readings]
+    prnu = _numbers(readout, lambda reading: reading.readout.prnu)
     spread = _numbers(readout, lambda reading: math.hypot(*reading.gain_spreads))
-    scatter_e = weights * spread * (level_e + _darks_e(readout, integration_s) / response)
-    shared_e2 = sum(_sum_shared_e2(weights * pattern_e, diodes) for pattern_e in patterns_e)
-    return np.asarray((scatter_e**2).sum(axis=0) + shared_e2)
+    dsnu = _numbers(readout, lambda reading: reading.readout.dark_spread.deviation)
+    current = _numbers(readout, lambda reading: reading.readout.dark_current_e_per_s)
+    offset_e = _numbers(readout, lambda reading: reading.readout.burst(readout.exposures).offset_e)
+    scatter_e = parts * spread * _charges_e(readout, level_e, integration_s)
+    gains_e2 = (scatter_e**2).sum(axis=0) + _sum_shared_e2(weights * prnu * level_e, diodes)
+    dark_e2 = _sum_shared_e2(parts * dsnu * current * integration_s, diodes)
+    return gains_e2, dark_e2 + _sum_shared_e2(parts * offset_e, diodes)
 
 
-def _dark_spread_e_per_s(reading: Reading) -> float:
-    readout = reading.readout
-    return readout.dark_spread.deviation * readout.dark_current_e_per_s
-
-
-def _sum_shared_e2(parts_e: Array, sources: NDArray[np.int_]) -> Array:
-    """Return the variance of a sum of offsets (K, n), of which those of one source (K,) are
-    equal but for their size.
+def _sum_shared_e2(parts_e: Array, sources: Sequence[int]) -> Array:
+    """Return the variance of a sum of offsets (K, n), of which those of one source, (K,), are equal
+    but for their size.
     """
-    is_shared = (sources[:, None] == sources).astype(float)
+    is_shared = np.equal.outer(sources, sources).astype(float)
     return np.asarray(np.einsum("kn,kl,ln->n", parts_e, is_shared, parts_e))
 
 
@@ -411,7 +406,7 @@ def line_variance_e2(
 
     def at(level_e: Array) -> Array:
         weights = mean_weights(readout, level_e / count, integration_s / count)
-        return _sum_shared_e2(weights * _numbers(readout, offset_e), np.array(sources))
+        return _sum_shared_e2(weights * _numbers(readout, offset_e), sources)
 
     return by_level(at, signal_e)
 
@@ -449,7 +444,8 @@ def merged_variance_e2(
         variance_e2 = count * moments.variance_e2
         if not fixed_pattern:
             return np.asarray(variance_e2)
-        return variance_e2 + fixed_pattern_e2(readout, level_e, integration_s, moments.weights)
+        patterns_e2 = fixed_patterns_e2(readout, level_e, integration_s, moments.weights)
+        return variance_e2 + sum(patterns_e2)
 
     return by_level(at, signal_e)
 

@@ -231,7 +231,7 @@ def _facts_of(frame: RawFrame) -> dict[str, Any]:
 
 
 def _json_item(metadata: dict[str, Any], name: str, kind: TypeAdapter[Any]) -> Any:
-    """Return an item that a file states as JSON; None without one of this kind."""
+    """Return an item that a file states as JSON, or None without one of this kind."""
     with suppress(KeyError, ValueError):
         return kind.validate_json(str(metadata[name]))
     return None

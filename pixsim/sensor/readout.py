@@ -638,8 +638,8 @@ def _read_level(
 
     charge_e : generated charge of these pixels
     offsets_e : fixed offsets
-    row_e : noise of their rows; None draws it
-    gain : over that of the reading
+    row_e : noise of their rows, or None to draw it
+    gain : relative to the stated one
     """
     readout = reading.readout
     pixel_sigma_e = constant_e(readout, is_temporal=True, along="pixel")

@@ -533,7 +533,7 @@ def _cached_frame(
     missing.
     """
     is_merged = imaging.pixel.has_readings
-    pictures = [] if is_merged else [_DN]
+    pictures = [_DN]
     if imaging.correction.is_on or is_merged:
         pictures.append(_CORRECTED)
     if imaging.exposure.frames > 1 or is_merged:
@@ -577,11 +577,8 @@ def _chain_of_cached_frame(
 
 def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
     """Return the frame of arrays of the cache, of `_cached_frame`."""
-    dn = cached.get(_DN)
-    if dn is None:  # of a merge, which the cache has as electrons
-        dn = np.zeros(cached[_CORRECTED].shape)
     frame = make_frame(
-        dn.astype(np.int32),
+        cached[_DN].astype(np.int32),
         float(cached[_SATURATED]),
         chain.signal_e_per_s,
         chain.readout,
@@ -595,10 +592,10 @@ def _arrays_for_cache(frame: Frame, readout: Readout) -> cache.Arrays:
     """Return the arrays of a frame for the cache, by `_DN` and so on."""
     statistics = frame_statistics(readout, frame)
     is_merged = isinstance(frame, MergedFrame)
-    codes: cache.Arrays = {}
-    if not is_merged:
-        codes[_DN] = frame.dn.astype(np.min_scalar_type(2**frame.bits - 1))
-    arrays: cache.Arrays = codes | {
+    # A merge, which has no codes, is cached as electrons.
+    dn = np.zeros(frame.shape, np.int32) if is_merged else frame.dn
+    arrays: cache.Arrays = {
+        _DN: dn.astype(np.min_scalar_type(2**frame.bits - 1)),
         _SATURATED: np.array(frame.saturated_fraction),
         _TIME: np.array(frame.integration_s),
         _GAIN: np.array(frame.gain_db),
