@@ -173,7 +173,7 @@ FACTS = (
 
 
 _READINGS_TYPE = TypeAdapter(dict[str, dict[str, float]])
-_KNEES_TYPE = TypeAdapter[Knees](Knees)
+_KNEES_TYPE: TypeAdapter[Knees] = TypeAdapter(Knees)
 
 
 def _stated_facts(frame: RawFrame) -> dict[str, Any]:
