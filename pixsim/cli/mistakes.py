@@ -5,6 +5,7 @@ what was meant.
 from __future__ import annotations
 
 import shlex
+from functools import cache
 from pathlib import Path
 
 from cyclopts import (
@@ -35,7 +36,7 @@ def refusal(error: CycloptsError) -> str:
     """
     command = " ".join(error.command_chain or ())
     text = str(error)
-    words, options = names_of(command) if command else ([], set())
+    words, options = names_of(command) if command else ((), frozenset())
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         first, *others = error.unused_tokens
         got = f"the extra word '{first}'"
@@ -61,22 +62,23 @@ def refusal(error: CycloptsError) -> str:
     return f"{text}\nTry 'pixsim{command and ' '}{command} --help'."
 
 
-def names_of(command: str) -> tuple[list[str], set[str]]:
+@cache
+def names_of(command: str) -> tuple[tuple[str, ...], frozenset[str]]:
     """Return the names of what a command takes without an option, as SCENE, and of its options."""
     arguments = [
         argument for argument in app[command].assemble_argument_collection() if argument.parse
     ]
-    words = [_word_of(argument) for argument in arguments if argument.index is not None]
-    return words, {
+    words = tuple(_word_of(argument) for argument in arguments if argument.index is not None)
+    return words, frozenset(
         name for argument in arguments if argument.index is None for name in argument.names
-    }
+    )
 
 
 def _word_of(argument: Argument) -> str:
     return argument.name.lstrip("-").upper()
 
 
-def _hint_of_word(word: str, options: set[str]) -> str:
+def _hint_of_word(word: str, options: frozenset[str]) -> str:
     """Return where a word belongs that is no argument of a command with these options; empty if
     that is not plain.
     """
@@ -97,7 +99,7 @@ def _hint_of_word(word: str, options: set[str]) -> str:
     return ""
 
 
-def _hint_of_option(name: str, options: set[str], proposed: bool) -> str:
+def _hint_of_option(name: str, options: frozenset[str], proposed: bool) -> str:
     """Return what an unknown option, such as --camera.resolution, means for a command with these
     options.
 
