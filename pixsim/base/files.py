@@ -601,7 +601,10 @@ def is_utf8(path: Path | str) -> bool:
 def read_bytes(path: Path, name: str, expected: str, max_bytes: int) -> bytes:
     """Read a regular file, as long as it is when it is opened. Raises PixsimError as `opened`."""
     with opened(path, name, expected, max_bytes) as file:
-        return file.read(os.fstat(file.fileno()).st_size)
+        try:
+            return file.read(os.fstat(file.fileno()).st_size)
+        except OSError as error:
+            raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
 
 
 def read_text(path: Path, name: str, expected: str, max_bytes: int) -> str:

@@ -28,6 +28,7 @@ from pixsim.base.errors import invalid
 
 LOCK = ".pixsim.lock"  # in an output folder
 UNFINISHED = ".pixsim-"  # and eight hexadecimal digits: the name of an unfinished file or folder
+_MAX_TRIES = 20  # for a file that another process removes at the moment when it is locked
 _OTHER_FOLDER = "Move it away, or choose another folder with --out."
 _LOCK_TIMEOUT_S = 0.1  # of another process, between its removal of a lock and its end
 # Errors of flock where a file system has no locks
@@ -151,7 +152,7 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
     Raises PixsimError on Windows.
     """
     check_system()
-    while True:
+    for _ in range(_MAX_TRIES):
         path = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
         with suppress(FileExistsError):
             if is_folder:
@@ -163,6 +164,8 @@ def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
             if _lock(descriptor) is not False and _is_same_file(path, descriptor):
                 break
             os.close(descriptor)  # another process took it for a leftover before it was locked
+    else:
+        raise FileExistsError(f"'{folder}' has no name left for an unfinished file")
     try:
         yield path
     finally:

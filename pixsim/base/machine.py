@@ -121,7 +121,7 @@ def text_of(path: Path) -> str:
         return ""
 
 
-def check_folder(path: Path) -> tuple[str | None, int]:
+def check_folder(path: Path) -> tuple[str | None, int | None]:
     """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the
     free bytes there.
     """
@@ -133,4 +133,8 @@ def check_folder(path: Path) -> tuple[str | None, int]:
             fault = None
     except OSError as error:
         fault = error.strerror or str(error)
-    return fault, shutil.disk_usage(existing).free
+    try:
+        free = shutil.disk_usage(existing).free
+    except OSError:
+        free = None
+    return fault, free
