@@ -40,7 +40,7 @@ NM = np.array([450.0, 550.0, 650.0])
 JUNK = {
     "None": None, "empty text": "", "text": "x", "-1": -1, "0": 0, "nan": math.nan, "inf": math.inf, "10**30": 10**30,
     "1e-320": 1e-320, "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/no/such/file"),
-    "folder": Path("/tmp"),
+    "folder": Path("/tmp"), "10**400": 10**400, "ragged": [[1.0], [1.0, 2.0], [3.0]],
 }  # fmt: skip
 
 
@@ -345,8 +345,9 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
             may_be = (label == "None" and parameter.default is None) or (label, argument) in TAKEN
             if may_be or parameter.kind is parameter.VAR_KEYWORD:
                 continue
-            changed = LONG[name] | {argument: JUNK[label]}
-            words = fault(partial(function, **changed), argument, JUNK[label])
+            words = fault(
+                partial(function, **(LONG[name] | {argument: JUNK[label]})), argument, JUNK[label]
+            )
             faults += [f"{argument} = {label}: {words}"] if words else []
     assert not faults, "\n".join(faults)
 

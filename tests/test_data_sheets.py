@@ -203,8 +203,9 @@ def test_packaged_sensor_is_its_file_wherever_a_settings_file_stands() -> None:
     expected = run_settings(path, {}).pixel
     assert run_settings(name, {}).pixel == expected
     assert sensor_layer(name).table == settings_layer(path).table
-    study = load_study("pixel-size", config=path)
-    assert load_study("pixel-size", config=name).pixel == study.pixel
+    assert (
+        load_study("pixel-size", config=name).pixel == load_study("pixel-size", config=path).pixel
+    )
     assert datasheet_settings(name, [], None, None, None).pixel == expected
 
 

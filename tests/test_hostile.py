@@ -165,8 +165,7 @@ def write_light(path: Path, header: dict | None = None, side: int | None = None)
     pixsim.write_exr(path, image)
     assert WINDOW in path.read_bytes()
     if side is not None:
-        window = struct.pack("<4i", 0, 0, side, side)
-        path.write_bytes(path.read_bytes().replace(WINDOW, window))
+        path.write_bytes(path.read_bytes().replace(WINDOW, struct.pack("<4i", 0, 0, side, side)))
 
 
 def part(channels: dict[str, np.ndarray], name: str = "a", **header: object) -> OpenEXR.Part:

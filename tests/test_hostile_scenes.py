@@ -214,8 +214,7 @@ def test_parameter_goes_in_as_in_mitsuba(tmp_path):
     body = """<default name="a" value="1"/><default name="ab" value="2"/><default name="c" value="$ab"/>
         <default name="d" value="\\$ab"/><bsdf type="null" id="$a $ab $abc $c $d \\$a"/>"""
     path = scene_of(tmp_path, body)
-    state = parse(open_scene(path, {}).text, VARIANT)
-    assert state.nodes[-1].props.id() == "1 2 2c 2 $ab $a"
+    assert parse(open_scene(path, {}).text, VARIANT).nodes[-1].props.id() == "1 2 2c 2 $ab $a"
     with mitsuba_session(VARIANT) as mi:
         path.write_text(
             path.read_text().replace(" $d", "")

@@ -509,8 +509,7 @@ def test_command_refuses_folder_in_use(line: str, here: Path) -> None:
 def test_without_locks_nothing_is_refused_or_removed(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    refused = OSError(number, os.strerror(number))
-    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=refused))
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(number, os.strerror(number))))
     left = tmp_path / ".pixsim-0123abcd"
     left.mkdir()
     with (

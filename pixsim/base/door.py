@@ -9,7 +9,6 @@ they are used.
 from __future__ import annotations
 
 import inspect
-import math
 import numbers
 import os
 import re
@@ -244,8 +243,8 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
             raise _invalid_value(value_text(value), allowed)
         try:
             size = float(plain)
-        except OverflowError:
-            size = math.inf
+        except OverflowError:  # an integer beyond any float
+            raise _invalid_value(value_text(value), allowed) from None
         if not bounds.hold(size, size):
             raise _invalid_value(value_text(value), allowed)
         if 0 < abs(size) < SMALLEST:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
@@ -251,8 +252,10 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
 
 def _hint(title: str, path: Sequence[str], value: Any) -> str:
     """How to write a value that was meant well, as the fields at a path and above it say; empty for
-    others.
+    others, such as an integer beyond any float.
     """
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        return ""
     hints = (
         words_of(_field(title, path[:depth])).hint(path[depth:], value)
         for depth in range(len(path), 0, -1)

@@ -43,8 +43,6 @@ def irradiance_factor(
     """
     f_number = np.asarray(f_number, float)
     tan_field = np.asarray(tan_field, float)
-    if np.isnan(tan_field).any():
-        raise invalid("tan_field", "nan", "a number, or infinity for light parallel to the sensor")
     check_broadcast(
         f_number=f_number.shape, tan_field=tan_field.shape, magnification=np.shape(magnification)
     )

@@ -63,10 +63,7 @@ def slip_hint(name: str, value: object) -> str:
     slip = SLIPS[name]
     if isinstance(value, bool) or not isinstance(value, int | float):
         return ""
-    try:
-        number = float(value)
-    except OverflowError:  # an integer of hundreds of digits is no slip
-        return ""
+    number = float(value)
     return _hint(name, number) if _is_slip(slip, number, number * slip.factor) else ""
 
 

@@ -122,6 +122,13 @@ class NoiseBudget:
             return cause
         return NOISE if cause in self.electrons_e or cause in (FLICKER, REDUCTION) else BLUR
 
+    def rows(self) -> Iterator[tuple[str, float | None, float]]:
+        """Yield each cause with its standard deviation in electrons, None for blur and colour, and
+        its ΔE.
+        """
+        for cause, delta_e in self.delta_e.items():
+            yield cause, self.electrons_e.get(cause), delta_e
+
 
 def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -> NoiseBudget:
     """Return the noise budget of one sensor and frame.

@@ -2,6 +2,7 @@
 exit codes and verbosity.
 """
 
+import errno
 import json
 import os
 import re
@@ -299,8 +300,7 @@ display.dots = 32
     for name, text in texts.items():
         Path(name).write_text(text, encoding="utf-8")
     files = "--config first.toml --config second.toml"
-    line = f"run flat {files} --pixel.pitch-um 10 -D resolution=64 --json"
-    score = json.loads(output_of(line))
+    score = json.loads(output_of(f"run flat {files} --pixel.pitch-um 10 -D resolution=64 --json"))
     pixel = score["pixel"]
     assert (pixel["pitch_um"], pixel["prnu"], pixel["bits"], score["seed"]) == (10, 0, 12, 5)
     assert score["irradiance"]["parameters"] == {"resolution": "64", "spp": "4"}
@@ -391,6 +391,8 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
             "unexpected RuntimeError: the moon is out\nThis is a bug in pixsim. --verbose",
         ),
         (MemoryError(), 1, "the system is out of memory; use a coarser film (--resolution 512)"),
+        (ImportError("no lens"), 1, "a package is missing or broken (no lens). Install pixsim"),
+        (OSError(errno.EMFILE, "x"), 2, "the limit of open files is too low"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
@@ -479,8 +481,9 @@ def test_commands_write_only_to_output_and_cache(
     installed: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
     _, above = installed
-    left = [*(above / "home").rglob("*"), *(above / "here").rglob("*")]
-    assert left == [], "temporary files remain"
+    assert [*(above / "home").rglob("*"), *(above / "here").rglob("*")] == [], (
+        "temporary files remain"
+    )
     assert {path.name for path in (above / "cache").iterdir()} > {"kernels", "matplotlib"}
 
 

@@ -277,6 +277,6 @@ def test_docstrings_of_classes_describe_their_fields() -> None:
 def test_examples_of_words_and_numbers_are_true() -> None:
     """Those of public names are in tests/references/test_pages.py."""
     package = Path(pixsim.__file__).parent
-    paths = [path for room in ("base", "show") for path in sorted((package / room).glob("*.py"))]
-    names = [f"pixsim.{path.parent.name}.{path.stem}" for path in paths]
-    assert not sum(doctest.testmod(importlib.import_module(name)).failed for name in names)
+    for path in (*package.glob("base/*.py"), *package.glob("show/*.py")):
+        module = importlib.import_module(f"pixsim.{path.parent.name}.{path.stem}")
+        assert not doctest.testmod(module).failed, path

@@ -16,5 +16,4 @@ def point_spread(
         light, x_um, y_um, pitch_um, psf_window(light, x_um, y_um, pitch_um, cells)
     )
     reach = cells // 2
-    kernel = np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells]
-    return Psf(kernel.astype(np.float32))
+    return Psf(np.roll(whole, (reach, reach), axis=(0, 1))[:cells, :cells].astype(np.float32))

@@ -371,8 +371,7 @@ def test_general_entries_are_measured_within_their_errors(kind: str) -> None:
     general = make_datasheet(
         pixel(readout, **options), shape=(100, 100), stack_frames=16, general=True
     )
-    decoded = GENERAL, COLOUR
-    check_entries([entry for entry in general.entries if entry.standard in decoded])
+    check_entries([entry for entry in general.entries if entry.standard in (GENERAL, COLOUR)])
     if kind != "companding":  # K has the rounding of coarse codes
         check_entries(general.entries)
     words = " ".join(map(str, datasheet_notes(general)))
@@ -558,8 +557,7 @@ def test_experiment_has_the_exposures_of_the_standard() -> None:
     assert 1.05 < brightest_e / readout.full_well_e < 1.15
     check("steps", np.ptp(np.diff(experiment.photons)), 0.0, atol=1e-9 * brightest_e, why="equal")
     assert experiment.dark_times_s.size == DARK_TIMES
-    spread_dn = dark_spread_e(readout, 0.03) * readout.dn_per_e
-    assert 6 <= readout.adc.black_level_dn / spread_dn < 6.5
+    assert 6 <= readout.adc.black_level_dn / (dark_spread_e(readout, 0.03) * readout.dn_per_e) < 6.5
     stated = make_experiment(Pixel(pitch_um=5.3, bits=12, black_level_dn=100.5))
     assert stated.readout.adc.black_level_dn == stated.pixel.black_level_dn == 100.5
 

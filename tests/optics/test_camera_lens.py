@@ -18,11 +18,13 @@ from scipy import integrate, interpolate, special
 
 from pixsim import PixsimError, SpectralImage, optics
 from pixsim.base.toml import packaged
+from pixsim.optics import camera_lens
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
     Tiling,
     band_groups,
+    camera_blur,
     camera_distortion,
     camera_with_lens,
     channel_wavefronts,
@@ -31,6 +33,7 @@ from pixsim.optics.camera_lens import (
     few_wavelengths,
     field_angles,
     fitted_wavefronts,
+    ideal_light,
     lens_mtf,
     lens_on_die,
     moved_error,
@@ -495,7 +498,10 @@ def unit_vector(deg: float) -> np.ndarray:
     return np.array([math.cos(math.radians(deg)), math.sin(math.radians(deg))])
 
 
-GAUSS = with_lens("double_gauss", 24.0, focal_length_mm=45.0)
+GAUSS, STRAIGHT = (
+    with_lens("double_gauss", 24.0, focal_length_mm=45.0, ideal=ideal)
+    for ideal in ("distorted", "undistorted")
+)
 
 
 # Closed forms
@@ -620,6 +626,9 @@ def test_what_the_lens_states_is_refused_beside_it(options: CameraOptions, words
     camera = with_lens("singlet", 4.0)
     with pytest.raises(PixsimError, match="for light that came through the lens"):
         options.over(camera)
+    image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((8, 8, 1)), header={LENS_HEADER: {}})
+    with pytest.raises(PixsimError, match="Render the scene again"):
+        camera_lens.image_tiling(image, camera)
 
 
 def test_changed_file_is_seen(tmp_path: Path) -> None:
@@ -660,6 +669,19 @@ def test_die_beyond_the_image_circle_is_dark_there() -> None:
     check("chief ray", beyond, last, rtol=1e-12, why="the same pupil")
 
 
+def test_blur_from_the_cache_is_the_one_that_was_stored() -> None:
+    """A transfer of 1 behind the lens changes nothing."""
+    camera = with_lens("singlet", 0.2, focal_length_mm=12.0)
+    light = camera, (20, 20), 10.0, Tiling(100.0, 60.0, 0.0), np.array([500.0, 600.0]), np.ones(2)
+    picture = np.zeros((20, 20))
+    picture[4, 6] = 1.0
+    blurred = camera_blur(*light).blurred(picture)
+    camera_lens._BLURS.clear()
+    np.testing.assert_array_equal(camera_blur(*light).blurred(picture), blurred)
+    behind = camera_blur(*light, lambda frequency, nm: np.ones(frequency.shape)).blurred(picture)
+    np.testing.assert_allclose(behind, blurred, atol=1e-6 * blurred.max())
+
+
 # Distortion
 
 
@@ -673,7 +695,9 @@ def test_points_lie_where_the_chief_rays_arrive(field: float, azimuth: float) ->
     direction = unit_vector(azimuth)
     spot = np.exp(-((x - radius * direction[0]) ** 2 + (y - radius * direction[1]) ** 2) / 18)
     moved = distortion.applied(spot, 100.0, distortion.widening)
-    back = distortion.removed(moved, 100.0)
+    header = {LENS_HEADER: asdict(Tiling(1e3, 1e3, 0.0))}
+    image = SpectralImage([550.0], 10.0, 100.0, data=moved[..., None], header=header)
+    back = ideal_light(image, STRAIGHT).planes[0].astype(float)
     height = 10 * float(lens.chief_ray(field, lens.primary_nm).height_mm)
     straight = radius * distortion.widening * distortion.image_scale
     assert abs(height - radius) > 0.5  # cells

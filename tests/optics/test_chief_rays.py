@@ -123,8 +123,9 @@ def test_semi_axes_are_those_of_the_chief_ray_angle() -> None:
     chief = math.radians(10.0)
     errors = []
     for f_number in (4.0, 8.0):
-        rows = [[0, 0], [1.0, 20.0], [2.0, 30.0]]
-        camera = Camera(die_mm=2.8, f_number=f_number, chief_ray_angle=rows)
+        camera = Camera(
+            die_mm=2.8, f_number=f_number, chief_ray_angle=[[0, 0], [1.0, 20.0], [2.0, 30.0]]
+        )
         na = 1 / math.hypot(1, 2 * camera.working_f_number)
         check("aperture", camera.numerical_aperture, na, rtol=1e-15, why="rounding")
         pupil = camera_pupil(camera).at(0.0, -500.0)

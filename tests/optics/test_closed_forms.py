@@ -629,8 +629,9 @@ def test_paraxial_diffraction_is_near_rayleigh_and_sommerfeld() -> None:
     """It is too low by .004 at a Fresnel number of 3.6, by .030 at .94."""
     errors = []
     for row in table("rayleigh_sommerfeld.csv"):
-        sizes = (float(row[key]) for key in ("pitch_um", "photodiode_um", "height_um", "index"))
-        stack = Stack(*sizes)
+        stack = Stack(
+            *(float(row[key]) for key in ("pitch_um", "photodiode_um", "height_um", "index"))
+        )
         fresnel = float(row["fresnel_number"])
         check("Fresnel number", stack.fresnel_number(550.0), fresnel, atol=6e-5, why="digits")
         share = collected_shares(stack, WAVE, 550.0)[0, 2, 2]

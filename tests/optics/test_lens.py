@@ -211,6 +211,7 @@ CLAIMS = [
         why="the limit",
     ),
     Claim("heights of a lens twice as large", lambda: TWICE.chief_ray(25.0, 550.0).height_mm, 2 * PHONE.chief_ray(25.0, 550.0).height_mm, rtol=1e-12),
+    Claim("beyond the stop", lambda: np.isnan(PHONE.opd_waves(25.0, 550.0, 0.9, 0.9)), 1.0),
     Claim("its angles", lambda: TWICE.chief_ray(25.0, 550.0).angle_deg, PHONE.chief_ray(25.0, 550.0).angle_deg, rtol=1e-12),
     Claim("its wavefront", lambda: TWICE.opd_waves(25.0, 550.0, 0.3, 0.7), 2 * PHONE.opd_waves(25.0, 550.0, 0.3, 0.7), rtol=1e-8, why="aiming"),
     Claim("its f-number", lambda: TWICE.first_order(550.0).f_number, PHONE.first_order(550.0).f_number, rtol=1e-12),
@@ -311,8 +312,9 @@ def test_aimed_rays_agree_with_other_programs(name: str) -> None:
         check(part, value, want[key], atol=atol, why="their digits")
     for index, (x, y) in enumerate(want["aimed_hex_stop_xy_mm"].transpose(0, 2, 1) / stop_mm):
         rays = lens.wavefront(fields_deg[index], primary, x, y)
-        y_mm = rays.y_mm[0] + rays.chief_y_mm
-        points = np.stack([rays.x_mm[0], y_mm, *rays.cosines[0].T], axis=1)
+        points = np.stack(
+            [rays.x_mm[0], rays.y_mm[0] + rays.chief_y_mm, *rays.cosines[0].T], axis=1
+        )
         wanted = want["aimed_hex_xyzLMN"][index][:, [0, 1, 3, 4]]
         check("points and cosines", points, wanted, atol=1e-9, why="their digits")
 
@@ -506,6 +508,7 @@ REFUSED: list[tuple[str, Callable[[], object], str]] = [
     ("an unknown lens", lambda: load_lens("phon"), "cooke_triplet, .*'phone'"),
     ("no chief ray", lambda: PHONE.chief_ray(85.0, 550.0), r"misses surface \d+ \(550 nm\)"),
     ("height", lambda: PHONE.field_of_height(1e3, 550.0), "height_mm: .*image circle"),
+    ("no angle", lambda: replace(PHONE, prescription=replace(PHONE.prescription, field_of_view="paraxial_image_height")).chief_ray(85.0, 550.0), r"reaches the image\.?$"),
     ("sideways", lambda: PHONE.chief_ray(90.0, 550.0), "field_deg: got 90"),
     ("nothing", lambda: PHONE.chief_ray([], 550.0), "field_deg: got an empty array"),
     ("no number", lambda: PHONE.chief_ray(np.nan, 550.0), "field_deg: got nan"),

@@ -219,6 +219,7 @@ def near(field: str = "0 0 3 1 0 0 0", aperture: str = "FNUM 4 0") -> str:
 
 
 BEHIND = "GLAS N-BK7 0 0 1.5168 64.17"
+FACTORS = re.sub(r"  FLAP .*\n", "", ZMX)
 STANDARD = "TYPE STANDARD\n  CURV -0.02|"
 GLASSES = 'glass = "HIKARI:SK16"|glass = { n_d = 1.62041, v_d = 60.32 }'
 # name: text, name of the file, number of the lens, expected, relative tolerance
@@ -293,6 +294,9 @@ NUMBERS: dict[str, tuple[str, str, Callable, object, float]] = {
     "fields of 0 of any kind": (
         edited(AIR, "FTYP 0|FTYP 9", "0 7 10|0 0 0"), ".zmx", lambda lens: lens.max_field_deg + 1, 1.0, 1e-15
     ),
+    "factors without a field on the axis": (
+        edited(FACTORS, "YFLN 0 1.7E+1|YFLN 5 1.7E+1"), ".zmx", lambda lens: 1 + lens.vignetting[0][0], 1.0, 1e-15
+    ),
     "blank glass": (
         edited(ZMX, "GLAS N-BAK1 0 0 1.572500121386|GLAS ___BLANK 1 0 1.572500121386"), ".zmx", lambda lens: n_d(lens, 1), 1.572500121386, 1e-11
     ),
@@ -332,7 +336,6 @@ def test_packaged_lenses_have_their_names(name: str) -> None:
 
 F90 = (WILD / "f90.zmx").read_text()
 ZOOM = (WILD / "zoom.zmx").read_text()
-FACTORS = re.sub(r"  FLAP .*\n", "", ZMX)
 # name: text, options, words of the note, or "" for none
 NOTES: dict[str, tuple[str, dict[str, str], str]] = {
     "60 degrees": (edited(F90, "90.5|60"), {}, ""),

@@ -236,8 +236,9 @@ def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(
     table = rows(tmp_path / "out/figures/scores.csv")
     for name in content["names"]:
         values = [float(row["detectability"]) for row in table if row["sensor"] == name]
-        expected = content["metrics"]["detectability"]["scores"][name][1]
-        assert np.mean(values) == pytest.approx(expected)
+        assert np.mean(values) == pytest.approx(
+            content["metrics"]["detectability"]["scores"][name][1]
+        )
 
 
 @pytest.mark.parametrize(

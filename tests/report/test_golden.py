@@ -104,9 +104,11 @@ def test_dry_run_foresees_film_frames_and_the_least_error_of_the_film(
         json.loads(command(f"{COMMANDS[name].replace(' two', f' {desk}/two')} --dry-run --json")[1])
         for name, desk in (("run", ""), ("study", answer("study").folder.parent))
     )
-    runs = [f"{answer('study').folder.parent}/{name}.toml" for name in RUNS]
-    outlines = json.loads(command("compare --resolution 96 --dry-run --json", *runs)[1])
-    assert [outlines[name]["film"]["samples"] for name in RUNS] == [[96, 96]] * 2
+    runs = [answer("study").folder.parent / f"{name}.toml" for name in RUNS]
+    outlines = json.loads(
+        command("compare --resolution 16384 --max-seconds 9 --dry-run --json", *runs)[1]
+    )
+    assert [outlines[name]["film"]["samples"] for name in RUNS] == [[16384] * 2] * 2
     assert not list(tmp_path.iterdir())
     assert run["film"]["samples"] == [128, 128]
     assert run["sensors"][0]["pixels"] == [[256, 256]]

@@ -380,8 +380,7 @@ def test_products_of_surfaces(count: int, bounces: int) -> None:
     taken.
     """
     single = np.random.default_rng(0).uniform(0, 1, (count, 471))
-    powers = 3 if bounces < 0 else min(bounces, 3)
-    expected = [single**power for power in range(1, powers + 1)]
+    expected = [single**power for power in range(1, (3 if bounces < 0 else min(bounces, 3)) + 1)]
     if bounces < 0:
         expected += [single / (1 - share * single) for share in (0.5, 0.8, 0.95)]
     pairs = min(count * (count - 1) // 2, 160) if bounces != 1 else 0
@@ -389,8 +388,7 @@ def test_products_of_surfaces(count: int, bounces: int) -> None:
     assert len(rows) == len(expected) * count + pairs
     if pairs:
         expected.append(single[[0, -2]] * single[[1, -1]])
-    misses = [np.abs(rows - row).max(axis=1).min() for row in np.concatenate(expected)]
-    assert max(misses) < 1e-12
+    assert max([np.abs(rows - row).max(axis=1).min() for row in np.concatenate(expected)]) < 1e-12
 
 
 @VARIANTS

@@ -71,8 +71,9 @@ def test_dictionary_is_the_scene_that_mitsuba_takes() -> None:
         live = EVERY_KIND | {
             name: EVERY_KIND[name] | {"to_world": transform} for name in ("wall", "disc")
         }
-        state = mi.parser.parse_dict(mi.parser.ParserConfig(VARIANT), live)
-        expected = hash_of_tree(tree_of(state))
+        expected = hash_of_tree(
+            tree_of(mi.parser.parse_dict(mi.parser.ParserConfig(VARIANT), live))
+        )
     assert load(EVERY_KIND).content_hash == expected
 
 

@@ -50,6 +50,10 @@ ONE_NODE = (
 )
 TWOSIDED = b'<bsdf version="3.0.0" type="twosided"><bsdf type="dielectric"/></bsdf>'
 OBJECT = '<shape type="disk"><include filename="{}" name="paint"/></shape>'
+RAW = (
+    '<texture type="bitmap" name="reflectance"><string name="filename" value="{}"/>'
+    '<boolean name="raw" value="true"/></texture>'
+)
 LAMPS = (
     '<default name="white_lamps" value=""/><shape type="disk"><emitter type="area" id="lamp"/></shape>'
     '<emitter type="spot" id="spot"/>'
@@ -230,6 +234,10 @@ SCENES: dict[str, tuple[Callable[[Path], object], str]] = {
         loaded(ball("diffuse", f'<texture type="bitmap" name="reflectance">{file("")}</texture>')),
         "texture: got '' in ",
     ),
+    "a raw picture of eight bits": (
+        lambda folder: loaded(ball("diffuse", RAW.format("sky.png")))(with_sky(folder)),
+        r"sky\.png'.*\.png with raw = true",
+    ),
     "no such texture": (
         loaded(ball("diffuse", f'<texture type="bitmap" name="reflectance">{file("no")}</texture>')),
         "texture: got 'no', which does not exist, in line 4",
@@ -359,6 +367,7 @@ def black(folder: Path) -> Path:
 
 
 def with_sky(folder: Path) -> Path:
+    PNG.save(folder / "sky.png")
     write_channels(folder / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
     return folder
 

@@ -193,8 +193,9 @@ def test_stack_that_loses_nothing_is_left_out_within_its_bound(
     assert bound / 100 < error <= bound
     for stated in (-1.0, 2.0, "1e-2", True):  # files may state anything
         image.header["spare_e"] = stated
-        signal = chain(pixel, SLOW, image).signal_e_per_s
-        np.testing.assert_array_equal(signal, whole.signal_e_per_s)
+        np.testing.assert_array_equal(
+            chain(pixel, SLOW, image).signal_e_per_s, whole.signal_e_per_s
+        )
 
 
 def passed(pitch_um: float, f_number: float = 8.0, fill_factor: float = 0.4) -> float:

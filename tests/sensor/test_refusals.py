@@ -165,6 +165,11 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
     "curve that ends early": (lambda: channel_b(FLAT[:20]), "400 to 590 nm"),
     "curve with a gap": (lambda: channel_b(FLAT[:9] + FLAT[14:]), "gap from 480 to 540"),
     "dark channel": (lambda: channel_b([[nm, 0.0] for nm in GRID_NM]), "0 at every"),
+    "curve with a wavelength twice": (
+        lambda: channel_b(FLAT[:5] + FLAT[4:]),
+        "440 nm followed by 440 nm",
+    ),
+    "curve far above 1": (lambda: channel_b([[nm, 150.0] for nm in GRID_NM]), "with 150 at 400 nm"),
     "curve that is a number": (lambda: channel_b(0.5), "pairs for B"),
     "channel of several letters": (
         lambda: colour(quantum_efficiencies={"R": FLAT, "G": FLAT, "B": FLAT, "teal": FLAT}),

@@ -251,8 +251,7 @@ def test_lights_behind_the_lens_are_held_one_at_a_time_where_one_has_room(
         return light
 
     monkeypatch.setattr(scene_light, "prepare_scene", counted)
-    result = pixsim.study(small(axis=[LIGHTS | {"count": 4}]), tmp_path, jobs=1)
-    assert len(result.parts) == 4
+    assert len(pixsim.study(small(axis=[LIGHTS | {"count": 4}]), tmp_path, jobs=1).parts) == 4
     assert max(counts) == 2
     assert all(reference() is None for reference in references)
 

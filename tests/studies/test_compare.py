@@ -279,8 +279,7 @@ def test_the_other_match_is_tried_where_none_is_stated(tmp_path: Path) -> None:
     lens = pixsim.compare(files, repeats=2, match="lens", **SMALL)
     assert (both.job.matches, lens.job.matches) == (("view", "lens"), ("lens",))
     assert both.pairs("b", match="lens").difference == lens.difference["b"] != both.difference["b"]
-    same_field = [files[0], sheet(tmp_path / "c.toml", 12.0)]
-    assert prepare(same_field, repeats=2).matches == ("view",)
+    assert prepare([files[0], sheet(tmp_path / "c.toml", 12.0)], repeats=2).matches == ("view",)
 
 
 # --- other displays -------------------------------------------------------------------------------
@@ -416,8 +415,9 @@ def test_option_that_every_condition_sets_is_named(files: list[Path]) -> None:
 def test_scene_of_an_option_is_without_the_parameters_of_the_study(files: list[Path]) -> None:
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     options = {"scene": {"file": "flat"}}
-    job = prepare(files, study=study, match="view", repeats=2, options=options)
-    assert job.shown.scene == "flat"
+    assert (
+        prepare(files, study=study, match="view", repeats=2, options=options).shown.scene == "flat"
+    )
 
 
 @pytest.mark.parametrize(
@@ -477,8 +477,7 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
     for _ in range(2000):
         shared, noise = rng.normal(size=(2, 8)), rng.normal(size=(2, 2, 8))
         day, night = 2 * shared + noise
-        probability = weighted(day, night).probability_a_better
-        false_alarms.append(not 0.025 <= probability <= 0.975)
+        false_alarms.append(not 0.025 <= weighted(day, night).probability_a_better <= 0.975)
         low, high = weighted(day + 0.2 * OF_B, night + OF_B).interval
         inside.append(low <= 0.75 * 0.2 + 0.25 * 1.0 <= high)
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * 0.0049)

@@ -121,8 +121,9 @@ def test_finer_film_shows_an_edge_within_samples_where_their_means_put_it(axis: 
     (part,) = finer_parts(light(block_means(fine, 32)), 1.0, Display(dots=8), None)
     for repeated, averaged in FINER_FILMS:
         expected = block_means(fine, 32 * repeated // averaged)
-        planes = part.finer(repeated, averaged).factors[1][0]
-        np.testing.assert_allclose(planes, expected, rtol=1e-6)
+        np.testing.assert_allclose(
+            part.finer(repeated, averaged).factors[1][0], expected, rtol=1e-6
+        )
 
 
 def test_finer_film_keeps_the_means_of_samples() -> None:

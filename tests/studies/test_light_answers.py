@@ -33,5 +33,4 @@ def test_answers_are_the_numbers_of_frames_and_equal_in_equal_light() -> None:
         assert answers.tolerance(key, 100.0) == pytest.approx(2.0)
 
     score = pixsim.evaluate(light, lights.camera(light), settings.pixel, display=settings.display)
-    delta_e = first["mean_delta_e", 84.8].mean()
-    assert delta_e == pytest.approx(score.mean_delta_e, rel=0.05)
+    assert first["mean_delta_e", 84.8].mean() == pytest.approx(score.mean_delta_e, rel=0.05)

@@ -57,8 +57,9 @@ def test_figure_of_metrics_has_the_means_of_their_sensors(
     result.write(tmp_path)
     for column in ("mean_delta_e", "information"):
         means = [float(row[column]) for row in rows(tmp_path / "figures/metrics.csv")]
-        expected = result.curves[0].statistics[column].mean(axis=1)
-        np.testing.assert_allclose(means, expected, rtol=1e-6)
+        np.testing.assert_allclose(
+            means, result.curves[0].statistics[column].mean(axis=1), rtol=1e-6
+        )
 
 
 def test_best_sizes_by_information_at_other_contrasts_are_those_of_their_columns(
@@ -318,6 +319,7 @@ def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Pa
     scores = []
     for contrast, without in ((0.02, "contrast=0"), (0.04, "size_um=100, contrast = 0.04")):
         words = ("--metric.detectability.without", without, "--json", "--out", tmp_path)
-        printed = output_of(f"{line} -D contrast={contrast}", *words)
-        scores.append(json.loads(printed)["detectability"])
+        scores.append(
+            json.loads(output_of(f"{line} -D contrast={contrast}", *words))["detectability"]
+        )
     assert scores[1] / scores[0] == pytest.approx(2 * math.sqrt(8 / 9), rel=0.05)

@@ -520,8 +520,7 @@ NAMES = ("0.35um", "0.25um")
 
 def fit_of(noise: float = 0.01, best_um: float = 8.0, seed: int = 0) -> FittedCurve:
     """Of two sensors of each of nine sizes on a parabola with its minimum inside."""
-    mean = 0.5 + np.log(NINE_UM / best_um) ** 2
-    return fit_curve(NINE_UM, sensors_of(mean, 2, noise, seed))
+    return fit_curve(NINE_UM, sensors_of(0.5 + np.log(NINE_UM / best_um) ** 2, 2, noise, seed))
 
 
 def added(before: dict[str, Sensors], after: dict[str, Sensors]) -> int:
@@ -596,8 +595,7 @@ def test_interval_of_all_looks_is_that_beside_an_end(least_um: float, ratio: flo
     """
     fit = fit_curve(NINE_UM, sensors_of(1 + np.log(NINE_UM / least_um) ** 2, 2, 0.01))
     best_um = fit.optimum.pitch_um
-    stated_um = fit.optimum.interval_um[1] - best_um
-    assert stated_um / (fit.look_interval_um[1] - best_um) == ratio
+    assert (fit.optimum.interval_um[1] - best_um) / (fit.look_interval_um[1] - best_um) == ratio
 
 
 @pytest.mark.parametrize(

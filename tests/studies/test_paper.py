@@ -349,8 +349,7 @@ def test_terms_of_detail_are_those_of_a_frequency_of_the_picture() -> None:
     setup = imaging(result.camera, pixel, display=result.study.display)
     frequency, _, sensor_terms, display_terms = detail_terms(setup, result.irradiance)
     assert frequency == 1e3 / (4 * 6.5)
-    expected = mtf_terms(setup, result.irradiance, np.array(frequency))
-    assert sensor_terms | display_terms == expected
+    assert sensor_terms | display_terms == mtf_terms(setup, result.irradiance, np.array(frequency))
     assert detail_terms(setup, chart_light())[0] == pytest.approx(33.3, abs=0.05)
 
 

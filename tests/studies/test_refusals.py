@@ -60,9 +60,11 @@ MANY = [
     for name in ("prnu", "dsnu")
 ]
 SMALL_SIZES = {"pitch": {"values_um": [4.0, 5.0, 7.0, 8.0, 9.0]}}
+LARGE_DIE = {"camera": {"die_mm": 60.0, "focal_length_mm": 90.0}}
 STACK = {"stack": {"height_um": 5.0, "index": 1.5, "shift_um": [5.5, 0.0]}}
 TECHNOLOGY = {"name": "t", "set": "pixel.technology", "values": ["0.5um"]}
 TARGET = {"metrics": ["detectability"]}
+SEARCH = {"solve_for": "lux", "without": "light.exr"}
 
 REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     # An axis
@@ -177,6 +179,10 @@ REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
         ("100001 evaluations in 2 cases", "--yes"),
     ),
     "a size that no case can have": (lambda: prepare(tiny(**SMALL_SIZES)), ("pixel.pitch_um",)),
+    "very many pixels of the smaller of two": (
+        lambda: prepare(pixsim.Study(name="x", technologies=["4t-bsi", "0.35um"], **LARGE_DIE)),
+        ("pitch.min_fill_factor", "--window"),
+    ),
     "a shift beyond the pixel": (lambda: prepare(tiny(pixel=STACK)), ("half of pitch_um",)),
     "an axis of the name of a result": (
         lambda: prepare(tiny(axis=[PRNU | {"name": "fill_factor"}])),
@@ -223,6 +229,10 @@ REFUSALS: dict[str, tuple[Callable, tuple[str, ...]]] = {
     "light without the target alone": (
         lambda: pixsim.study("tiny.toml", "out", without=LIGHT),
         ("without", "light as well"),
+    ),
+    "a search in light": (
+        lambda: pixsim.run("light.exr", metric={"detectability": SEARCH}, **TARGET),
+        ("solve_for", "a parameter of a scene"),
     ),
     "parameters beside light": (partial(given, parameters={"resolution": 64}), ("parameters",)),
     "an axis of the lens beside light": (partial(given, axis=[LENS]), ("camera.f_number",)),
@@ -347,6 +357,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "tiny.toml").write_text('name = "s"\npitch.values_um = [20, 28, 40, 56, 80]\n')
     sheet(path / "a.toml")
     sheet(path / "b.toml")
+    pixsim.write_exr(path / "light.exr", LIGHT)
     sheet(path / "small.toml", pitch_um=0.5, pixels="[30, 30]")
     (path / "scene.toml").write_text("[scene]\nspp = 4\n")
     (path / "slip.toml").write_text("[pixel]\nfull_wel_e = 4\n")

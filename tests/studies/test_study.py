@@ -49,8 +49,7 @@ def test_study_has_row_per_pitch_and_sensor(done: tuple[StudyResult, Path]) -> N
     np.testing.assert_array_equal(curve.delta_e.ravel(), delta_e)
     # The fitted minimum can lie below the lowest point, not above its mean by more than the fit
     # smooths.
-    least = curve.delta_e.mean(axis=1).min()
-    assert curve.optimum.mean_delta_e == pytest.approx(least, rel=0.06)
+    assert curve.optimum.mean_delta_e == pytest.approx(curve.delta_e.mean(axis=1).min(), rel=0.06)
 
 
 def test_study_command_writes_the_rows_of_python(
@@ -301,8 +300,7 @@ def test_rows_are_chosen_by_labels_and_columns() -> None:
 
 
 def test_csv_and_dataframe_have_all_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    text = done[0].to_csv(tmp_path / "table.csv")
-    assert (tmp_path / "table.csv").read_bytes().decode() == text
+    assert done[0].to_csv(tmp_path / "table.csv") == (tmp_path / "table.csv").read_bytes().decode()
     delta_e = [float(row["mean_delta_e"]) for row in rows(tmp_path / "table.csv")]
     np.testing.assert_array_equal(delta_e, done[0].curves[0].delta_e.ravel())
     pandas = pytest.importorskip("pandas")

@@ -140,8 +140,9 @@ def test_extreme_cases_pass(room: str) -> None:
 def test_case_passes_within_its_tolerance_without_a_warning(
     call: Callable, expected, tolerance: float, scale: float | None, passes: bool
 ) -> None:
-    row = KnownAnswer("values", call, expected, tolerance, "", ((),), scale)
-    assert row.check().passed == passes
+    assert (
+        KnownAnswer("values", call, expected, tolerance, "", ((),), scale).check().passed == passes
+    )
 
 
 def test_case_names_its_worst_element_of_all_calls() -> None:
