@@ -351,6 +351,8 @@ class Store:
             except csv.Error as error:
                 hint = "Move the file away: its rows are then computed again."
                 raise invalid("results", f"'{path}' ({error})", allowed, hint) from None
+            except OSError as error:
+                raise invalid("results", f"'{path}' ({error.strerror})", allowed) from None
 
     def _has_numbers(self, row: Row) -> bool:
         """Return whether a row has all of its numbers: it may be of other metrics.
