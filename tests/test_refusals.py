@@ -333,8 +333,7 @@ def derived_of_camera(settings: Table) -> list[float]:
 
 
 def derived_of_technology(settings: Table) -> list[float]:
-    technology = pixsim.Technology(**settings)
-    with patch("pixsim.sensor.pixel.load_technology", lambda _: technology):
+    with patch("pixsim.sensor.pixel.load_technology", lambda _: pixsim.Technology(**settings)):
         return derived_of_pixel({"pitch_um": 6.5, "technology": "0.35um"})
 
 

@@ -277,8 +277,11 @@ def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
     with watched(progress), watched_share(0.0, 0.5):
         report(0.5)
     report(0.9)  # nobody watches
-    second = [(share, ", second") for share in (0.5, 0.75, 1.0)]
-    assert reports == [*second, (0.0, ""), (0.25, "")]
+    assert reports == [
+        *([(share, ", second") for share in (0.5, 0.75, 1.0)]),
+        (0.0, ""),
+        (0.25, ""),
+    ]
 
 
 def test_stages_without_terminal_tick_while_nothing_is_reported(

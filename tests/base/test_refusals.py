@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Annotated
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from pydantic import Field, create_model
 import pixsim
 from pixsim.base import cache, door
 from pixsim.base.bounds import POSITIVE
+from pixsim.base.files import output_folder, write_new
 from pixsim.base.problems import explain
 from pixsim.base.records import Record, checked
 from pixsim.base.tables import dataframe_of
@@ -39,6 +40,14 @@ DATA = Path(pixsim.__file__).parent / "data"
 TECHNOLOGY = DATA / "technologies/0.35um.toml"
 INCOMPLETE = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1}
 ADDED = {"quantum_efficiency": 0.5, "data_sheet_pitch_um": 3.0}
+LIGHT = pixsim.SpectralImage(
+    [450.0, 550.0, 650.0],
+    100.0,
+    42.4,
+    data=np.full((64, 64, 3), 1e-3),
+    header={"luminance_cd_per_m2": 100.0},
+)
+NO_PAGE = Mock(side_effect=pixsim.PixsimError("no page"))
 CALLS: dict[str, tuple[Callable, str]] = {
     "a data sheet below the pitch of its process": (
         lambda: derive(Pixel(pitch_um=8.0, data_sheet_pitch_um=3.0)),
@@ -91,6 +100,20 @@ CALLS: dict[str, tuple[Callable, str]] = {
         "pip install pandas",
     ),
     "a gain that is no level": (lambda: pixsim.Exposure(gain=4), "gain_db is 20 log10 of a gain"),
+    "a folder that is not there": (
+        lambda: pixsim.write_npz("/proc/light.npz", LIGHT),
+        "output file: .*a path that can be written",
+    ),
+    "a folder of the system": (lambda: write_new(Path("/proc/x.toml"), "x"), "cannot be written"),
+    "a folder that is no text": (
+        lambda: output_folder(Path("\udcff")).__enter__(),
+        "not valid UTF-8. Choose another",
+    ),
+    "a name that is no text": (lambda: Pixel(technology="\udcff"), "allowed: text in UTF-8"),
+    "a page that cannot be opened": (
+        lambda: pixsim.explore(LIGHT, Pixel(pitch_um=21.2), opened=NO_PAGE),
+        "no page",
+    ),
     "a record of a file": (
         lambda: Pixel("sensor.toml"),
         r"Pixel: got 'sensor\.toml'; allowed: fields by name",

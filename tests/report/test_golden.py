@@ -109,6 +109,9 @@ def test_dry_run_foresees_film_frames_and_the_least_error_of_the_film(
         command("compare --resolution 16384 --max-seconds 9 --dry-run --json", *runs)[1]
     )
     assert [outlines[name]["film"]["samples"] for name in RUNS] == [[16384] * 2] * 2
+    light = answer("run").folder / "irradiance.exr"
+    words = command(f"run {light} --pixel.pitch-um 84.8 --frames 2 --dry-run")[1]
+    assert "2 of the same sensor" in words
     assert not list(tmp_path.iterdir())
     assert run["film"]["samples"] == [128, 128]
     assert run["sensors"][0]["pixels"] == [[256, 256]]

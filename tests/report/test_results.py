@@ -71,6 +71,12 @@ def test_result_has_words_a_figure_a_table_and_a_cell(name: str, tmp_path: Path)
     assert "<strong>" in result._repr_html_()
 
 
+def test_what_a_result_is_made_of_has_words_too() -> None:
+    scene = pixsim.load_scene("csf", resolution=32)
+    for thing in (scene, pixsim.make_plan(scene), chart()):
+        assert re.fullmatch(rf"<{type(thing).__name__} .+>", repr(thing))
+
+
 def test_run_has_its_channels_and_notes() -> None:
     entries = run().as_dict()
     notes = [{"id": note.id, "text": str(note)} for note in run().notes]

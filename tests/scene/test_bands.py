@@ -99,8 +99,7 @@ def exact_integral(lamp: Spectrum, low: float, high: float) -> float:
     """Return the integral as a sum over linear pieces."""
     inside = lamp.nodes_nm[(lamp.nodes_nm > low) & (lamp.nodes_nm < high)]
     cuts = np.concatenate([[low], inside, [high]])
-    middle = (cuts[1:] + cuts[:-1]) / 2
-    values = np.interp(middle, lamp.nodes_nm, lamp.values, left=0, right=0)
+    values = np.interp((cuts[1:] + cuts[:-1]) / 2, lamp.nodes_nm, lamp.values, left=0, right=0)
     return float((values * np.diff(cuts)).sum())
 
 

@@ -558,8 +558,9 @@ def test_reflectance_above_1_is_warned_of_and_above_1_5_refused(
 )
 def test_picture_of_a_reflectance_above_1_5_is_refused(texture: str, tmp_path: Path) -> None:
     """A picture has no numbers in the XML: it is judged by what Mitsuba reads."""
-    wall = f'<shape type="rectangle"><bsdf type="diffuse">{texture}</bsdf></shape>'
-    render = seen(CONSTANT, wall)
+    render = seen(
+        CONSTANT, f'<shape type="rectangle"><bsdf type="diffuse">{texture}</bsdf></shape>'
+    )
     pixsim.write_chart(tmp_path / "a.exr", np.ones((2, 2), np.float32))
     assert render(tmp_path).data.max() > 0
     pixsim.write_chart(tmp_path / "a.exr", np.full((2, 2), 50, np.float32))

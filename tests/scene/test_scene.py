@@ -458,8 +458,7 @@ def agree(mine, theirs) -> bool:
 @pytest.mark.parametrize("name", [*packaged_scenes(), "every kind"])
 def test_tree_of_says_what_mitsuba_says(name: str) -> None:
     """And so does what the cache has of it."""
-    text = EVERY_KIND if name == "every kind" else load(name).text().text
-    state = mitsuba.parse(text, READING)
+    state = mitsuba.parse(EVERY_KIND if name == "every kind" else load(name).text().text, READING)
     made = trees.tree_of(state)
     for tree in (made, trees._from_json(json.loads(json.dumps(trees._to_json(made))))):
         assert tree.id_to_index == dict(state.id_to_index)

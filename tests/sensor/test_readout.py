@@ -317,8 +317,7 @@ def deviations_e(readout: Readout, shape: tuple[int, int] = (MANY, FEW)) -> list
     sensor = sensors.sample_sensor(readout, shape, seeded(5))
     light_e = np.full(shape, SIGNAL_E)
     frames = [sensors.read_out(light_e, 0.01, sensor, seeded(seed)) for seed in (9, 10)]
-    black_dn = readout.adc.black_level_dn
-    return [(frame - black_dn) / readout.dn_per_e - SIGNAL_E for frame in frames]
+    return [(frame - readout.adc.black_level_dn) / readout.dn_per_e - SIGNAL_E for frame in frames]
 
 
 def test_no_row_noise_leaves_the_random_numbers_as_they_are() -> None:

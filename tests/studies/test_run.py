@@ -70,8 +70,9 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
     }
     frames = []
     for level in (1e-3, 5e-4):
-        data = np.full((64, 64, 3), level)
-        light = pixsim.SpectralImage([450.0, 550.0, 650.0], 100.0, 42.4, data=data)
+        light = pixsim.SpectralImage(
+            [450.0, 550.0, 650.0], 100.0, 42.4, data=np.full((64, 64, 3), level)
+        )
         pixsim.write_npz(tmp_path / "light.npz", light)
         with pytest.warns(UserWarning, match="bands of up to 100 nm"):
             frames.append(pixsim.run(tmp_path / "light.npz", **settings).score.frame)

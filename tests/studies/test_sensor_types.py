@@ -649,8 +649,9 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
     type.
     """
     files = [sheet(tmp_path / f"{name}.toml", {"pitch_um": 10.0}) for name in ("a", "b")]
-    options = PAIR | {"camera": {"die_mm": 0.5}}
-    (result,) = pixsim.compare(files, uncertainty=8, **options).uncertainty
+    (result,) = pixsim.compare(
+        files, uncertainty=8, **(PAIR | {"camera": {"die_mm": 0.5}})
+    ).uncertainty
     members = list(result.sample.inputs.values())
     assert {tuple(unknown.technology for unknown in each) for each in members} == {("a", "b")}
     np.testing.assert_array_equal(result.differences, np.zeros(8))
