@@ -60,6 +60,24 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "number + _BLUR_WORK",
         "(2 * (number + _BLUR_WORK))",
     ): "how far a progress bar has come",
+    (
+        "pixsim/sensor/photodiode.py",
+        "LINEAR_WITHIN * full_well_e",
+        "(2 * (LINEAR_WITHIN * full_well_e))",
+    ): "the conversion is linear to 1e-12 of the well below 2e-6 of it, too",
+    (
+        "pixsim/sensor/photodiode.py",
+        "second - second_line",
+        "(2 * (second - second_line))",
+    ): "a table with more entries, right to 1e-6 of the well as well",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
+        "charge_e - FARTHEST_SIGMAS * np.sqrt(charge_e2)",
+    ): "tables of the upper end go on until pixels are full for sure",
+    ("pixsim/optics/field_blur.py", "across + x", "across - x"): (
+        "tiles left and right of the axis have one tail: a lens is round"
+    ),
     ("pixsim/sensor/motion.py", "count - 1", "count + 1"): (
         "tables of more fine steps have the same products"
     ),

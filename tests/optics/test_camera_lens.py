@@ -196,6 +196,12 @@ def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
     check("phases", left, np.zeros(left.shape), atol=1e-4, why="single precision")
     check("area of a disc", area, np.pi * 40**2, rtol=1e-4, why="shares of samples")
 
+    # A disc moved by 0.3 of its radius, whose outline turned by a step has 1 % more area or less.
+    phi = np.linspace(0, np.pi, OUTLINE_ANGLES)
+    numbers[-OUTLINE_ANGLES:] = 0.3 * np.cos(phi) + np.sqrt(1 - np.square(0.3 * np.sin(phi)))
+    _, area = pupil_function(numbers, NM, 0.0, 0.1 / 40)
+    check("area of a moved disc", area, np.pi * 40**2, rtol=2e-4, why="chords of 1° and samples")
+
 
 def test_psfs_reach_as_far_as_tiles_and_points_amid_them() -> None:
     for cells, spacing, psf_cells in (
@@ -848,6 +854,7 @@ def test_picture_of_a_point_has_the_centroid_of_the_traced_spot(
 def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:
     camera = with_lens("cooke_triplet", 26.0, 1e4, focal_length_mm=50.0, refocus="paraxial")
     front, finer = (fitted_wavefronts(camera, (550.0,), nodes)[0] for nodes in (17, 33))
+    check("corner", front.height_um[-1], 13e3 * math.sqrt(2), rtol=1e-5, why="a margin of 1e-6")
     middles = front.height_um[:-1] + np.diff(front.height_um) / 2
     numbers = np.array([front.at(float(middle)) for middle in middles])
     check("half widths", numbers[:, :2], finer.numbers[1::2, :2], rtol=1e-5, why="a spline")

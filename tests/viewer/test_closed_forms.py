@@ -371,11 +371,11 @@ DEVELOPMENT = [
     Claim(
         "a table is straight between its rows",
         lambda: tone.toned(
-            np.array([[0.1, 0.6, 3.0]]),
-            Develop(tone_curve=[[0, 0], [0.2, 0.5], [1, 1]]),
+            np.array([[0.05, 0.2, 0.6, 3.0]]),
+            Develop(tone_curve=[[0, 0], [0.1, 0], [0.3, 0.5], [0.9, 1]]),
             Display(gamma=2.0),
         ),
-        [[0.25**2, 0.75**2, 1]],
+        [[0, 0.25**2, 0.75**2, 1]],
         rtol=1e-14,
     ),
     Claim(
