@@ -132,10 +132,11 @@ def fixed_e2(chain: ImagingChain) -> float:
     return 16.0 + 1 / (12 * chain.readout.dn_per_e**2)
 
 
-def d_prime_of_signal_and_noise(image: SpectralImage) -> float:
-    """Return √Σ Δ²/σ² over the pixels, of their expected electrons."""
+def d_prime_of_signal_and_noise(image: SpectralImage, prnu: float) -> float:
+    """Return √Σ Δ²/σ² over the pixels, of their expected electrons; σ² is the mean of both."""
     target_e, background_e = (TIME_S * chain_of(scene).signal_e_per_s for scene in (image, UNIFORM))
-    variance_e2 = (target_e + background_e) / 2 + fixed_e2(chain_of())
+    square_e2 = (target_e**2 + background_e**2) / 2
+    variance_e2 = (target_e + background_e) / 2 + prnu**2 * square_e2 + fixed_e2(chain_of())
     return math.sqrt(float(((target_e - background_e) ** 2 / variance_e2).sum()))
 
 
@@ -154,19 +155,23 @@ def niirs_from(**options: float) -> float:
 
 
 CLAIMS = [
-    Claim(
-        "detectability is the signal over the noise",
-        lambda: (
-            evaluated(
-                with_disc(-0.05),
-                "detectability",
-                without=UNIFORM,
-                metric=MetricOptions(**ONE_REGISTRATION),
-            )["detectability"]
-            / d_prime_of_signal_and_noise(with_disc(-0.05))
-        ),
-        1.0,
-        rtol=1e-9,
+    *(
+        Claim(
+            f"detectability is the signal over the noise, of a PRNU of {prnu:g}",
+            lambda contrast=contrast, prnu=prnu: (
+                evaluated(
+                    with_disc(contrast),
+                    "detectability",
+                    without=UNIFORM,
+                    metric=MetricOptions(**ONE_REGISTRATION),
+                    pixel=PIXEL.model_copy(update={"prnu": prnu}),
+                )["detectability"]
+                / d_prime_of_signal_and_noise(with_disc(contrast), prnu)
+            ),
+            1.0,
+            rtol=1e-9,
+        )
+        for contrast, prnu in ((-0.05, 0.0), (-0.5, 0.05))
     ),
     Claim(
         "the full half of a sensor has no information",
