@@ -389,15 +389,15 @@ def make_experiment(
     if exposure.gain_db == "auto":
         raise invalid("exposure.gain_db", "'auto'", "one gain in dB for all frames of the test")
     stated = Readout.of(physics).amplified(exposure.gain_db)
-    readings = [reading.readout for reading in stated.readings]
+    readings = stated.readings
     if readings and not general:
-        names = ", ".join(reading.name for reading in stated.readings)
+        names = ", ".join(reading.name for reading in readings)
         hint = f"Use {setting('general')} for the characteristic curve of EMVA 1288 General."
         got = f"the readings {names}" if len(readings) > 1 else "companded codes"
         raise invalid("pixel", got, "one reading in linear codes", hint)
-    time_s = _usual_integration_s([*readings, stated][0], exposure)
+    time_s = _usual_integration_s(with_merge(stated).readings[0].readout, exposure)
     whole = with_all(stated, lambda reading: with_black_level(reading, time_s))
-    readout = whole.readings[0].readout if readings else whole
+    readout = with_merge(whole).readings[0].readout
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
     efficiency = _checked_efficiency(physics, nm)
     brightest = _BEYOND_SATURATION * _filling_light_e(readout, time_s) / efficiency

@@ -56,9 +56,9 @@ def _snr_plate(curve: SnrCurve) -> Drawing:
 def _range_rows(curve: SnrCurve) -> Iterator[tuple[str, ...]]:
     """Yield the ranges of each threshold; a range and the next one have a gap between them."""
     for result in curve.ranges:
-        lengths = "none", ""
+        lengths = ["none", ""]
         if result.ranges_e:
-            lengths = rounded(result.total_db, 3), rounded(result.contiguous_db, 3)
+            lengths = [rounded(db, 3) for db in (result.total_db, result.contiguous_db)]
         ends = [
             "; ".join(
                 f"{rounded(factor * low, 3)} to {rounded(factor * high, 3)}"

@@ -237,7 +237,8 @@ def switch_levels_e(readout: Readout, integration_s: float) -> Array:
     return np.sort(count * (light_e / _responses(readout))[:-1], axis=None)
 
 
-def _sum_e2(weights: Array, covariance: Array) -> Array:
+def weighted_e2(weights: Array, covariance: Array) -> Array:
+    """Return the variance of a weighted sum, (n,), of weights (K, n) and covariances (K, K, n)."""
     return np.asarray(np.einsum("kn,kln,ln->n", weights, covariance, weights))
 
 
@@ -257,7 +258,7 @@ def level_variance_e2(
     covariance = covariances_e2(readout, level_e, integration_s, rounding)
     last = readout.readings[-1]
     is_full = last.response * level_e + last.dark_e(integration_s) > last.limit_e
-    return np.where(is_full, np.nan, count * _sum_e2(weights, covariance))
+    return np.where(is_full, np.nan, count * weighted_e2(weights, covariance))
 
 
 def merged_level(
@@ -448,18 +449,3 @@ def merged_variance_e2(
         return variance_e2 + sum(patterns_e2)
 
     return by_level(at, signal_e)
-
-
-def estimated_variance_e2(
-    readout: Readout, estimate_e: Array, integration_s: float, weights: Array
-) -> Array:
-    """Return the variance of an estimate (rows, columns) by the estimate itself, as if the weights
-    were not chosen by it.
-
-    weights : of each reading, (K, rows, columns)
-    """
-    count = readout.exposures
-    level_e = np.maximum(estimate_e, 0.0).ravel() / count
-    covariance = covariances_e2(readout, level_e, integration_s / count)
-    flat_weights = weights.reshape(len(weights), -1)
-    return count * _sum_e2(flat_weights, covariance).reshape(estimate_e.shape)

@@ -81,7 +81,7 @@ class Adc:
         """Highest code of a file, companded or not."""
         if self.knees is None:
             return self.top_code_dn
-        return int(self.codes_of(np.array([float(self.top_code_dn)]))[0])
+        return int(self.codes_of(np.asarray(self.top_code_dn, float)))
 
     @property
     def top_code_dn(self) -> int:

@@ -36,7 +36,7 @@ from pixsim.sensor.integration import (
     moved_signals,
     pixels_on,
 )
-from pixsim.sensor.merge import estimated_variance_e2, merged, merged_variance_e2
+from pixsim.sensor.merge import covariances_e2, merged, merged_variance_e2, weighted_e2
 from pixsim.sensor.motion import ImageMotion, motion_in_frame, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
@@ -405,8 +405,11 @@ class MergedFrame(Frame):
         noise, dark charge, read noise and rounding. It takes the weights as stated, not as chosen
         by noise.
         """
-        weights = np.stack(list(self.reading_weights.values()))
-        return estimated_variance_e2(self.readout, self.estimate_e, self.integration_s, weights)
+        count = self.exposures
+        level_e = np.maximum(self.estimate_e, 0.0) / count
+        covariance = covariances_e2(self.readout, level_e.ravel(), self.integration_s / count)
+        weights = np.stack([weight.ravel() for weight in self.reading_weights.values()])
+        return count * weighted_e2(weights, covariance).reshape(level_e.shape)
 
     @cached_property
     def reading_weights(self) -> dict[str, Array]:

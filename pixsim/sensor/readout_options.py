@@ -121,6 +121,10 @@ class ReadingOptions(Record):
     )
 
 
+_OF_ALL_KINDS = {"kind", "merge", "validity_sigmas", "blend_from_share", "blend_to_share"}
+_OF_ALL_KINDS |= {"area_um2", "collector", "reading"}
+
+
 class ReadoutOptions(Record):
     """Several readings of a pixel, and how they merge to one estimate of its electrons.
 
@@ -222,10 +226,9 @@ class ReadoutOptions(Record):
 
     @model_validator(mode="after")
     def _has_numbers_of_kind(self) -> Self:
-        kinds = packaged_tables("readouts")
-        needed, taken = (kinds[self.kind][which] for which in ("needs", "takes"))
-        numbers = {name for kind in kinds.values() for name in kind["needs"] + kind["takes"]}
-        stated = self.model_dump(include=numbers, exclude_defaults=True)
+        kind = packaged_tables("readouts")[self.kind]
+        needed, taken = kind["needs"], kind["takes"]
+        stated = self.model_dump(exclude=_OF_ALL_KINDS, exclude_defaults=True)
         problems = [f"no {name}" for name in needed if name not in stated]
         problems += [name for name in stated if name not in needed + taken]
         if problems:
