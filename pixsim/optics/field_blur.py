@@ -626,7 +626,7 @@ def _sampled_on_film(
     first = (width + 1) // 2
     if across >= first:
         opposite = wrapped[-np.arange(height), first:].conj()[:, ::-1]
-        sampled[:, width - across : width - first + 1] += opposite
+        sampled[:, width - across :] += opposite
     sampled[0, 0] = 1.0
     return sampled
 

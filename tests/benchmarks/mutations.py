@@ -75,6 +75,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
         "charge_e - FARTHEST_SIGMAS * np.sqrt(charge_e2)",
     ): "tables of the upper end go on until pixels are full for sure",
+    ("pixsim/optics/lens.py", "below / 2", "(2 * (below / 2))"): (
+        "the same root, found in more steps"
+    ),
+    ("pixsim/optics/camera_lens.py", "_CIRCLE_STEPS", "(_CIRCLE_STEPS) + 1"): (
+        "an interval within the tolerance is halved once more"
+    ),
     ("pixsim/optics/field_blur.py", "across + x", "across - x"): (
         "tiles left and right of the axis have one tail: a lens is round"
     ),
