@@ -79,7 +79,7 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "the same root, found in more steps"
     ),
     ("pixsim/optics/camera_lens.py", "_CIRCLE_STEPS", "(_CIRCLE_STEPS) + 1"): (
-        "an interval within the tolerance is halved once more"
+        "one more attempt at a smaller circle, where the last one has succeeded long before"
     ),
     ("pixsim/optics/field_blur.py", "across + x", "across - x"): (
         "tiles left and right of the axis have one tail: a lens is round"
