@@ -384,8 +384,15 @@ def _first_problem(
             part,
             [problem for problem in part_problems if problem["input"] is part],
         )
-    optional = NoneType in get_args(get_type_hints(_Annotated(function)).get(name))
+    optional = name in _optional_arguments(function)
     return _problem(name, value, argument_problems, optional=optional)
+
+
+@cache
+def _optional_arguments(function: Callable[..., Any]) -> frozenset[str]:
+    """Return the names of the arguments that may be None."""
+    hints = get_type_hints(_Annotated(function))
+    return frozenset(name for name, hint in hints.items() if NoneType in get_args(hint))
 
 
 def _place(problem: ErrorDetails) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import cyclopts
 import pydantic
 import pytest
 from cyclopts.argument import _collection
@@ -37,12 +38,29 @@ def remembering(function: Callable) -> Callable:
     return quick
 
 
-# Cyclopts builds its options and the checks of their types again for each command: most of the time
-# of many of them here.
+def remembering_objects(method: Callable, part: Callable = lambda whole: whole) -> Callable:
+    """Return a method that keeps its results by the identity of an object, or of a part of it."""
+    results: dict = {}
+
+    def quick(whole, *arguments):
+        key = (id(part(whole)), *arguments)
+        if key not in results:
+            results[key] = part(whole), method(whole, *arguments)  # whose identity stays its own
+        return results[key][1]
+
+    return quick
+
+
+# Cyclopts builds its options and the checks of their types again for each command, and the flags
+# that negate each option for each word: most of the time of many of them here.
 Arguments = _collection.ArgumentCollection
 quick_adapter = remembering(pydantic.TypeAdapter)
 quick_groups = remembering(_collection._resolve_groups_from_callable)
 arguments_of = remembering(Arguments._from_callable)
+quick_negatives = remembering_objects(cyclopts.Parameter.get_negatives)
+quick_hint = remembering_objects(
+    cyclopts.Argument._negatives_hint.fget, lambda argument: argument.field_info
+)
 
 
 def quick_arguments(function: Callable, *parameters, reserved=None, **groups):
@@ -72,6 +90,8 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
         patch.setattr(pydantic, "TypeAdapter", quick_adapter)
         patch.setattr(_collection, "_resolve_groups_from_callable", quick_groups)
         patch.setattr(Arguments, "_from_callable", quick_arguments)
+        patch.setattr(cyclopts.Parameter, "get_negatives", quick_negatives)
+        patch.setattr(cyclopts.Argument, "_negatives_hint", property(quick_hint))
         with pytest.raises(SystemExit) as end:
             cli.main([*shlex.split(line), *map(str, words)])
     return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())

@@ -229,8 +229,9 @@ def test_samples_of_blocks_lower_the_noise_of_blocks(monkeypatch: pytest.MonkeyP
     """On a film of 30 × 22 cells, which no block divides: the picture is that of samples of single
     cells, with less noise in what a pixel of some cells sees.
 
-    Over 64 renders a cell's standard error is known to 9 %: of 660 cells one is beyond 6 with a
-    probability of 1e-5. The noise of 35 blocks scatters by 2 %.
+    Over 40 renders a cell's standard error is known to 11 %: of 660 cells one is beyond 6 with a
+    probability of 4e-5. The ratio of the noise of 35 blocks scatters by 2.7 %: 0.86 is
+    missed with a probability of 0.3 %, and a ratio of 1 passes with 0.5 %.
     """
     scene = pixsim.load_scene("cornell_box", variant="llvm_ad_spectral", resolution=30, spp=4)
     camera = scene.camera().model_copy(update={"die_height_mm": 2.0}).window(0.3)
@@ -239,17 +240,17 @@ def test_samples_of_blocks_lower_the_noise_of_blocks(monkeypatch: pytest.MonkeyP
         monkeypatch.setattr(renderer, "_BLOCK_CELLS", block_cells)
         traced = Renderer(scene, camera, make_render_plan(scene, camera), 0)
         assert traced.plan.samples.sampler == "independent"
-        runs = [traced.run(index)[0][0].sum(axis=2, dtype=float) for index in range(64)]
+        runs = [traced.run(index)[0][0].sum(axis=2, dtype=float) for index in range(40)]
         pictures[block_cells] = np.array(runs)
     alone, together = pictures[1], pictures[4]
-    error = np.sqrt((alone.var(axis=0) + together.var(axis=0)) / 64)
+    error = np.sqrt((alone.var(axis=0) + together.var(axis=0)) / 40)
     assert (np.abs(alone.mean(axis=0) - together.mean(axis=0)) < 6 * error).all()
 
     def noise(runs: np.ndarray) -> float:
-        blocks = runs[:, :20, :28].reshape(64, 5, 4, 7, 4).mean(axis=(2, 4))
+        blocks = runs[:, :20, :28].reshape(40, 5, 4, 7, 4).mean(axis=(2, 4))
         return float(np.sqrt(blocks.var(axis=0, ddof=1).mean()))
 
-    assert noise(together) / noise(alone) == pytest.approx(0.86, abs=0.08)
+    assert noise(together) / noise(alone) == pytest.approx(0.86, abs=0.07)
 
 
 def test_render_two_lamp_spectra_add(tmp_path: Path) -> None:
