@@ -67,16 +67,21 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def temporary_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def temporary_cache(
+    tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config
+) -> Iterator[None]:
+    shared = shared_folder(tmp_path_factory)
+    # Compiled kernels, whose names are digests of what they compute, and the list of fonts also
+    # serve the next runs: compilation takes a second for a kernel of paths.
+    lasting = pytestconfig.cache.mkdir("compiled") if hasattr(pytestconfig, "cache") else shared
     with pytest.MonkeyPatch.context() as patch:
-        # Pictures, compiled kernels and the list of fonts are the same for all processes of a run.
-        for variable, name in (
-            (FOLDER_VARIABLE, "cache"),
-            ("DRJIT_CACHE_DIR", "kernels"),
-            ("MPLCONFIGDIR", "matplotlib"),
-            ("DASK_TEMPORARY_DIRECTORY", "dask"),
+        # Pictures, kernels and fonts are the same for all processes of a run.
+        for variable, folder in (
+            (FOLDER_VARIABLE, shared / "cache"),
+            ("DRJIT_CACHE_DIR", lasting / "kernels"),
+            ("MPLCONFIGDIR", lasting / "matplotlib"),
+            ("DASK_TEMPORARY_DIRECTORY", shared / "dask"),
         ):
-            folder = shared_folder(tmp_path_factory) / name
             folder.mkdir(exist_ok=True)
             patch.setenv(variable, str(folder))
         yield

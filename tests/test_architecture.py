@@ -26,6 +26,8 @@ import pixsim
 from pixsim.base.result import Result
 from pixsim.base.units import unit_of
 
+# How the code is arranged and named is the same wherever it is installed.
+pytestmark = pytest.mark.slow
 FILES = files_of()
 MODULES = sorted(FILES.keys() - {"__init__", "__main__"})
 # Package -> packages that it may import, in the order of the data flow.
