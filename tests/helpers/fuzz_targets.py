@@ -161,8 +161,7 @@ def changed(content: bytes, changes: list[tuple[float, bytes]], end: float, repe
         at = int(place * len(work))
         work[at : at + len(new)] = new
     work = work[: int(end * len(work)) or 1]
-    middle = work[len(work) // 3 : 2 * len(work) // 3]
-    return bytes(work + middle * repeated)
+    return bytes(work + work[len(work) // 3 : 2 * len(work) // 3] * repeated)
 
 
 # --- Scenes and meshes for `test_hostile_scenes`

@@ -31,8 +31,7 @@ def disc_um(camera: pixsim.Camera, depth_m: float) -> float:
     """
     image_mm = 1 / (1 / camera.focal_length_mm - 1 / (1e3 * camera.object_distance_m))
     vergence_per_mm = 1 / camera.focal_length_mm - 1 / (1e3 * depth_m)
-    aperture_um = 1e3 * camera.focal_length_mm / camera.f_number
-    return aperture_um * abs(image_mm * vergence_per_mm - 1)
+    return 1e3 * camera.focal_length_mm / camera.f_number * abs(image_mm * vergence_per_mm - 1)
 
 
 def steps_nm(*tables: list[float]) -> list[float]:

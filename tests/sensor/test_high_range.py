@@ -591,8 +591,7 @@ def evaluated(sensor_pixel: Pixel, wells: float, **over):
 
 @pytest.mark.parametrize(("kind", "count"), [("split", 1), ("staggered", 0)])
 def test_a_split_colour_sensor_has_a_note_of_its_small_photodiode(kind: str, count: int) -> None:
-    options = {"colour": COLOUR, "quantum_efficiency": None}
-    physics = derive(pixel(KINDS[kind][0], **options))
+    physics = derive(pixel(KINDS[kind][0], colour=COLOUR, quantum_efficiency=None))
     light = lights.patches()
     notes = pixel_notes(physics, lights.camera(light), light)
     assert sum("metamerism" in str(note) for note in notes) == count

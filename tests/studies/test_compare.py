@@ -292,8 +292,7 @@ def test_difference_on_another_display_is_that_of_a_comparison_with_it(tmp_path:
     8 bits at white, since magnification changes the fall-off.
     """
     files = two_sheets(tmp_path, (), (3.0, 9.1, "[140, 120]"))
-    options = OPTIONS | {"repeats": 2}
-    compare = partial(pixsim.compare, files, EDGE, resolution=48, **options)
+    compare = partial(pixsim.compare, files, EDGE, resolution=48, **OPTIONS | {"repeats": 2})
     result = compare()
     first, second = (sensor.score.ideal for sensor in result.sensors)
     np.testing.assert_allclose(first, second, atol=0.02)
