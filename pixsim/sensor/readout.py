@@ -556,16 +556,15 @@ def _expose_once(
 ) -> _Exposed:
     """Expose all readings once.
 
-    A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn
-    before its read noise, and once for all readings of a collector.
+    A few rows at a time, which keeps the work arrays small. The charge of a collector is drawn
+    once; of a pixel that is read once, all shot noise of a block is drawn before its read noise.
     """
     readings = with_merge(sensor.readout).readings
     columns = sensor.shape[1]
-    collectors = {reading.collector: reading for reading in reversed(readings)}
-    generated_e = {collector: np.empty(mean_e.shape) for collector in collectors}
+    firsts = {reading.collector: reading for reading in reversed(readings)}
+    generated_e = {collector: np.empty(mean_e.shape) for collector in firsts}
     dn = np.empty((len(readings), *mean_e.shape), np.int32)
-    saturated = np.empty(mean_e.shape, bool)
-    saturated_counts: list[int] = []
+    saturated, saturating = np.empty((2, *mean_e.shape), bool)
 
     def expose(block: slice, rng: np.random.Generator) -> None:
         parts = [
@@ -573,33 +572,31 @@ def _expose_once(
             for rows in strips(block.stop - block.start, columns)
         ]
         work = np.empty((2, max(rows.stop - rows.start for rows in parts), columns))
-
-        for rows in parts:
-            for collector, reading in collectors.items():
-                charge_e = _mean_charge_e(mean_e[rows], integration_s, reading, sensor, rows, work)
-                generated_e[collector][rows] = _shot_noise(charge_e, rng)
-
-        for rows in parts:
+        for group in [parts] if len(readings) == 1 else [[rows] for rows in parts]:
             capacitors_e: dict[int, NDArray[Any]] = {}
             for reading, codes in zip(readings, dn, strict=True):
-                charge_e = generated_e[reading.collector][rows]
-                if reading.capacitor_dark_e_per_s:
-                    if reading.collector not in capacitors_e:
-                        dark_e = np.full(charge_e.shape, reading.capacitor_e(integration_s))
-                        capacitors_e[reading.collector] = _shot_noise(dark_e, rng)
-                    charge_e = charge_e + capacitors_e[reading.collector]
-                gain: Array | float = 1 + reading.stated.gain_error
-                if reading.name in sensor.gain_errors:
-                    gain = gain + sensor.gain_errors[reading.name][rows]
-                offsets_e = _offset_maps_e(sensor.diodes[reading.photodiode], rows)
-                is_full, is_saturating = _read_level(
-                    charge_e, integration_s, reading, offsets_e, rng, codes[rows], gain=gain
-                )
-            saturated[rows] = is_full
-            saturated_counts.append(int(np.count_nonzero(is_saturating)))
+                collector_e = generated_e[reading.collector]
+                for rows in group if reading is firsts[reading.collector] else ():
+                    mean = _mean_charge_e(mean_e[rows], integration_s, reading, sensor, rows, work)
+                    collector_e[rows] = _shot_noise(mean, rng)
+
+                for rows in group:
+                    charge_e = collector_e[rows]
+                    if reading.capacitor_dark_e_per_s:
+                        if reading.collector not in capacitors_e:
+                            dark_e = np.full(charge_e.shape, reading.capacitor_e(integration_s))
+                            capacitors_e[reading.collector] = _shot_noise(dark_e, rng)
+                        charge_e = charge_e + capacitors_e[reading.collector]
+                    gain: Array | float = 1 + reading.stated.gain_error
+                    if reading.name in sensor.gain_errors:
+                        gain = gain + sensor.gain_errors[reading.name][rows]
+                    offsets_e = _offset_maps_e(sensor.diodes[reading.photodiode], rows)
+                    saturated[rows], saturating[rows] = _read_level(
+                        charge_e, integration_s, reading, offsets_e, rng, codes[rows], gain=gain
+                    )
 
     _by_block(expose, mean_e.shape, rng)
-    return _Exposed(dn, saturated, sum(saturated_counts) / max(saturated.size, 1))
+    return _Exposed(dn, saturated, np.count_nonzero(saturating) / max(saturated.size, 1))
 
 
 def _mean_charge_e(
@@ -616,9 +613,8 @@ def _mean_charge_e(
     mean_dark_e = reading.readout.dark_current_e_per_s * integration_s
     charge_e = work[0, :count]
     gain = 1.0 if diode.gain is None else diode.gain[rows]
-    np.multiply(mean_e, gain, out=charge_e)
-    if reading.response != 1:
-        charge_e *= reading.response
+    light_e = mean_e if reading.response == 1 else reading.response * mean_e
+    np.multiply(light_e, gain, out=charge_e)
     if mean_dark_e and diode.dark_gain is not None:
         charge_e += np.multiply(mean_dark_e, diode.dark_gain[rows], out=work[1, :count])
     elif mean_dark_e:
