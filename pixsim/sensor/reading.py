@@ -495,7 +495,7 @@ def with_merge(readout: Readout) -> Readout:
     """Return a readout that has its readings; of a pixel that is read once, that reading."""
     if readout.readings:
         return readout
-    once = Reading(ReadingOptions(name="pixel", collector="pixel"), readout)
+    once = Reading(ReadingOptions(name="pixel", collector="pixel"), readout.burst(1))
     return replace(readout, readings=(once,))
 
 

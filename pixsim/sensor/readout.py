@@ -704,7 +704,7 @@ def _expose_burst(
     (`quantise`), is drawn at once. Of all other pixels each subexposure is read out.
     """
     count = sensor.readout.exposures
-    (reading,) = with_merge(sensor.readout.burst(1)).readings
+    (reading,) = with_merge(sensor.readout).readings
     time_s = integration_s / count
     row_sigma_e = constant_e(reading.readout, is_temporal=True, along="row")
     photos_e = subexposures_e or [mean_e / count]
