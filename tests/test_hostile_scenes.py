@@ -960,8 +960,7 @@ def test_control_characters_do_not_reach_the_terminal(line, word, tmp_path):
 def test_openexr_writes_no_name_to_the_terminal(tmp_path, capfd):
     """Its C library has words of its own for damaged pixels, with the name of the file as it is."""
     path = tmp_path / "\x1b]0;x.exr"
-    texels = np.random.default_rng(0).random((64, 64)).astype(np.float32)
-    write_channels(path, {"Y": texels}, {})
+    write_channels(path, {"Y": np.random.default_rng(0).random((64, 64)).astype(np.float32)}, {})
     path.write_bytes(path.read_bytes()[:-999])
     with pytest.raises(pixsim.PixsimError, match="EXR file: got"):
         read_channels(path)

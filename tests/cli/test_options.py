@@ -326,9 +326,8 @@ def options_of(command: str) -> set[str]:
 def test_every_option_has_an_argument_of_its_name(command: str) -> None:
     function, record = FUNCTIONS[command]
     names = {*inspect.signature(function).parameters, *(record.model_fields if record else ())}
-    options = options_of(command)
     missing = {
-        option for option in options - names if RENAMED.get(option) not in names
+        option for option in options_of(command) - names if RENAMED.get(option) not in names
     } - FOR_THE_TERMINAL.keys()
     assert not missing
 

@@ -34,13 +34,12 @@ def light(
     unit = SpectralImage(nm, 20.0, pitch_um, factors=(np.ones((1, nm.size)), np.zeros((1, 1, 1))))
     lux = white_cd_per_m2 * float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
     spectrum = np.full(nm.size, lux / unit.luminous_weight().sum())
-    header = {"luminance_cd_per_m2": white_cd_per_m2, "lamp_w_per_m2_sr_nm": spectrum.tolist()}
     return SpectralImage(
         nm,
         20.0,
         pitch_um,
         factors=(spectrum[None], picture[None].astype(np.float32)),
-        header=header,
+        header={"luminance_cd_per_m2": white_cd_per_m2, "lamp_w_per_m2_sr_nm": spectrum.tolist()},
     )
 
 

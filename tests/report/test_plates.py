@@ -64,13 +64,12 @@ def study_plates(evidence: Evidence) -> dict[str, Plate]:
         replace(curve, technology=f"{feature_um:g}um", feature_size_um=feature_um)
         for feature_um in (0.35, 0.18, 0.5, 0.25)
     ]
-    score = size_maps(result, 8.0, curve.technology, 2).score
     study_plates = [
         figure_6(evidence),
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch([curve]),
         delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"),
-        score_plate(score),
+        score_plate(size_maps(result, 8.0, curve.technology, 2).score),
         optimum_against_technology(replace(result, curves=tuple(processes))),
     ]
     return {plate.name: plate for plate in study_plates}

@@ -322,7 +322,6 @@ def test_light_that_no_few_pulses_determine_has_no_fit(
 # --- In Mitsuba ---
 def furnace(variant: str, pulses: list[Pulse]) -> np.ndarray:
     """Render a uniform emitter of radiance 1 that fills the view, (12, 12, channels)."""
-    responses = [film_response(pulse) for pulse in pulses]
     description = {
         "type": "scene",
         "lamp": {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}},
@@ -330,7 +329,7 @@ def furnace(variant: str, pulses: list[Pulse]) -> np.ndarray:
             "type": "perspective",
             "fov": 20,
             "sampler": {"type": "multijitter", "sample_count": 16},
-            "film": film(responses, (12, 12), 0, 12),
+            "film": film([film_response(pulse) for pulse in pulses], (12, 12), 0, 12),
         },
     }
     with mitsuba_session(variant) as mi:

@@ -212,11 +212,10 @@ def test_film_has_the_shape_of_the_die(tmp_path: Path) -> None:
         edited(tmp_path, "csf", ('name="height" value="$resolution"', 'name="height" value="256"'))
     )
     assert wide.camera().die_height_mm == pytest.approx(wide.camera().die_mm / 4)
-    square = wide.camera(CameraOptions(die_height_mm=2.7136))
     for scene, camera, shape in (
         (wide, Camera(), (256, 1024)),
         (wide.with_resolution(100), Camera(), (25, 100)),
-        (wide, square, (1024, 1024)),
+        (wide, wide.camera(CameraOptions(die_height_mm=2.7136)), (1024, 1024)),
     ):
         assert scene.film_shape(camera, wide.parse()) == shape
 

@@ -323,8 +323,7 @@ def frame_of(
     sensor_pixel: Pixel, level_e: float, exposure: Exposure | None = None, **over
 ) -> MergedFrame:
     exposure = exposure or TIMED
-    readout = Readout.of(derive(sensor_pixel)).with_physics(**over)
-    sensor = sample_sensor(readout, SHAPE, seeded(5))
+    sensor = sample_sensor(Readout.of(derive(sensor_pixel)).with_physics(**over), SHAPE, seeded(5))
     frame = capture_from_rates(np.full(SHAPE, level_e / TIME_S), sensor, exposure, seeded(6))
     assert isinstance(frame, MergedFrame)
     return frame
@@ -440,8 +439,9 @@ def test_two_gains_of_one_charge_never_beat_shot_noise_and_two_exposures_do() ->
 def test_full_readings_that_pass_err_by_what_the_limit_cuts_off(dsnu_e: float) -> None:
     """With a validity of 2 σ, 2 % of the full pixels pass, by noise or by their offset."""
     options = {"conversion_gain_uv_per_e": [160, 10], "capacity_e": 1e5, "read_noise_e": [8, 5]}
-    readout = options | {"kind": "overflow", "validity_sigmas": 2}
-    sensor_pixel = pixel(readout, **DARK, dsnu_e=dsnu_e)
+    sensor_pixel = pixel(
+        options | {"kind": "overflow", "validity_sigmas": 2}, **DARK, dsnu_e=dsnu_e
+    )
     moments = merged_level(Readout.of(derive(sensor_pixel)), np.array([30_000.0]), TIME_S)
     error_e = frame_of(sensor_pixel, 30_000.0).estimate_e - 30_000
     bias_e, variance_e2 = float(moments.bias_e[0]), float(moments.variance_e2[0])

@@ -302,8 +302,9 @@ def test_parts_and_margins_have_the_veil_of_the_whole_field() -> None:
     for veil in (*veils, stray_light(framed, camera)):
         np.testing.assert_allclose(veil.uniform_w_per_m2_nm, [0.05], rtol=1e-6)
     right = whole.with_planes(image.planes[:, :, 64:])
-    film = (SIDE, SIDE), SAMPLE_UM
-    part = PartBehindLens([(right, 0)], (0.0, 0.0), image.mean_spectrum(), film)
+    part = PartBehindLens(
+        [(right, 0)], (0.0, 0.0), image.mean_spectrum(), ((SIDE, SIDE), SAMPLE_UM)
+    )
     sight = [illumination_of(image, camera, PHYSICS)]
     ((light,),) = part.lights(camera, Tiling(400.0, 0.0, 0.0), PHYSICS, sight)
     np.testing.assert_allclose(light.rate_e_per_s_um2, rate(image, camera)[:, 64:], rtol=1e-12)

@@ -459,9 +459,8 @@ def test_light_outside_the_computed_range_widens_it_or_is_noted() -> None:
         == VISIBLE.high_nm
     )
     # ∫ λ dλ outside 360-830 nm, over that from 300 to 1110 nm.
-    expected = 1 - (830**2 - 360**2) / (1110**2 - 300**2)
     assert outside_share(outside_header([lamp]), bsi(quantum_efficiency=0.5)) == pytest.approx(
-        expected, rel=1e-3
+        1 - (830**2 - 360**2) / (1110**2 - 300**2), rel=1e-3
     )
     widest = outside_share(outside_header([lamp], WIDEST), bsi(quantum_efficiency=0.5))
     assert widest == pytest.approx((1110**2 - 1100**2) / (1110**2 - 300**2), rel=1e-3)

@@ -578,5 +578,4 @@ def test_ratio_of_means_error_is_its_scatter() -> None:
     deviation, part = np.random.default_rng(0).standard_normal((2, 400, 64))
     ratios = [ratio_of_means(0.3 + 0.1 * p, d**2) for p, d in zip(part, deviation, strict=True)]
     scatter = np.std([ratio.share for ratio in ratios], ddof=1)
-    mean_error = np.mean([ratio.standard_error for ratio in ratios])
-    assert mean_error == pytest.approx(scatter, rel=0.175)
+    assert np.mean([ratio.standard_error for ratio in ratios]) == pytest.approx(scatter, rel=0.175)

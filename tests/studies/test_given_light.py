@@ -72,12 +72,11 @@ def test_the_light_of_a_study_gives_its_rows_again_bit_for_bit(folder: Path) -> 
 def test_settings_of_a_study_of_given_light_make_its_rows_again(folder: Path) -> None:
     """Rows of one light are not taken for those of another, whose header says the same."""
     light, other_light = (light_of(seed, DIE_UM) for seed in (1, 2))
-    camera = Camera(die_mm=1e-3 * DIE_UM, f_number=5.6)
     first = study(
         folder / "small.toml",
         folder / "a",
         light=light,
-        camera=camera,
+        camera=Camera(die_mm=1e-3 * DIE_UM, f_number=5.6),
         display={"white_cd_per_m2": 5000.0},
     )
     settings = folder / "settings.toml"

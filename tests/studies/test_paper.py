@@ -540,14 +540,13 @@ def curve_of(technology: str, optimum_um: float, best: float) -> Curve:
     pitch_um = np.geomspace(0.85, 1.8, 16) * optimum_um
     delta_e = np.repeat((best + 0.5 * np.log(pitch_um / optimum_um) ** 2)[:, None], 2, axis=1)
     fill_factor = np.clip(fill_factor_law(pitch_um, pixsim.load_technology(technology)), 0, 1)
-    best_fit = fit_curve(pitch_um, delta_e)
     return Curve(
         technology,
         FEATURE_UM[technology],
         pitch_um,
         fill_factor,
         {"mean_delta_e": delta_e},
-        best_fit,
+        fit_curve(pitch_um, delta_e),
     )
 
 
@@ -803,8 +802,7 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
     study = load_study(desk / "tiny.toml", desk / "sensitivity.toml")
     study = with_range_ends(study.model_copy(update={"axis": (*study.axis, PEAK)}))
     assert (study.name, study.stream_name, study.repeats) == ("tiny-sensitivity", "tiny", 2)
-    labels = {axis.name: [point.label for point in axis.points] for axis in study.axis[2:]}
-    assert labels == {
+    assert {axis.name: [point.label for point in axis.points] for axis in study.axis[2:]} == {
         "dark current": ["all low", "0.35um 0.333", "0.25um 1", "all high", "0.35um 3", "0.25um 9"],
         "peak": ["0.25um 0.2", "0.25um 0.37"],
     }
@@ -851,8 +849,7 @@ def test_setting_of_the_base_changes_nothing(done) -> None:
 def test_statements_of_a_case_are_those_of_the_study_alone(done, desk: Path) -> None:
     """All of the paper. The rows of its process are shared between cases that do not change it."""
     part = case(done, "dark current", "all high")
-    study = part.study.model_copy(update={"streams": "tiny"})
-    whole = pixsim.study(study, desk / "whole", jobs=1)
+    whole = pixsim.study(part.study.model_copy(update={"streams": "tiny"}), desk / "whole", jobs=1)
     rows = findings(Evidence(whole, {curve.technology: curve for curve in whole.curves}))
     assert list(done.findings[done.parts.index(part)]) == rows
     assert len(rows) == 17

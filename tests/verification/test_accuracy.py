@@ -310,12 +310,11 @@ def sampled(rate, sample_um, pitch_um, side_um):
 
 def at_the_middle(lamp, bands):
     """Lamps sampled at the centres of bands."""
-    values = np.interp(bands.wavelength_nm, lamp.nodes_nm, lamp.values)
     return SpectralImage(
         bands.wavelength_nm,
         10.0,
         20.0,
-        factors=(values, np.ones((1, 6, 6))),
+        factors=(np.interp(bands.wavelength_nm, lamp.nodes_nm, lamp.values), np.ones((1, 6, 6))),
         header={"luminance_cd_per_m2": 1000.0},
     )
 

@@ -76,11 +76,10 @@ def scene(
     lux = 1e3 * float(irradiance_factor(CAMERA.f_number, 0.0, CAMERA.magnification))
     weight = luminous_weight(NM, np.full(NM.size, 5.0))
     spectrum = illuminant(lamp, NM) * lux / (weight @ illuminant(lamp, NM))
-    pitch_um = camera.die_um[1] / pictures.shape[2]
     return SpectralImage(
         NM,
         5.0,
-        pitch_um,
+        camera.die_um[1] / pictures.shape[2],
         factors=(reflectances * spectrum, np.asarray(pictures, np.float32)),
         header={"diffraction": False, "lamp_w_per_m2_sr_nm": spectrum.tolist()},
     )

@@ -256,10 +256,9 @@ def test_ideal_picture_is_the_mean_over_dots(samples: int, atol: float) -> None:
     edges_um = np.linspace(0, DIE_UM, samples + 1)
     means = np.diff(integral(edges_um)) / np.diff(edges_um)
     dots_um = np.linspace(0, DIE_UM, 129)
-    expected = np.diff(integral(dots_um)) / np.diff(dots_um) / 500
     np.testing.assert_allclose(
         ideal_on_dots(light(np.tile(means, (samples, 1)) / 500)),
-        np.tile(expected, (128, 1)),
+        np.tile(np.diff(integral(dots_um)) / np.diff(dots_um) / 500, (128, 1)),
         atol=atol,
     )
 

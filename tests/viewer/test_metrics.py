@@ -142,8 +142,9 @@ def d_prime_of_signal_and_noise(image: SpectralImage, prnu: float) -> float:
 
 @cache
 def information(contrast: float) -> dict[str, float]:
-    metric = MetricOptions(information={"contrast": contrast})
-    return evaluated(UNIFORM, "information", metric=metric)
+    return evaluated(
+        UNIFORM, "information", metric=MetricOptions(information={"contrast": contrast})
+    )
 
 
 def bits(contrast: float, column: str = "information") -> float:
@@ -607,10 +608,9 @@ def test_sensor_mtf_is_that_of_a_slanted_edge(tilt_deg: float) -> None:
     frequency = np.linspace(0.0, 0.45, 10)
     along = frequency * 1e3 / 4.0
     tilt = math.radians(tilt_deg)
-    across_mtf = sensor_mtf(chain.expected(TIME_S), along * math.cos(tilt), along * math.sin(tilt))
     np.testing.assert_allclose(
         kernels.edge_mtf(turned(chain.signal_e_per_s[10:-10, 10:-10]), 5.0, frequency),
-        across_mtf,
+        sensor_mtf(chain.expected(TIME_S), along * math.cos(tilt), along * math.sin(tilt)),
         atol=0.02,
     )
 
@@ -892,10 +892,9 @@ def test_folded_spectrum_of_a_gaussian_by_poissons_sum() -> None:
     n = np.arange(-8, 9)[:, None]
     terms = np.exp(-((np.pi * n * PITCH_MM * 90) ** 2)) * np.cos(2 * np.pi * n * PITCH_MM * DFT)
     series = PITCH_MM * 90 * math.sqrt(math.pi) * terms.sum(axis=0)
-    expected = series[:, None] * series - power(DFT[:, None], DFT)
     np.testing.assert_allclose(
         kernels.folded_spectrum(power, DFT, 1e3 * PITCH_MM, orders=4),
-        expected,
+        series[:, None] * series - power(DFT[:, None], DFT),
         rtol=1e-10,
         atol=1e-14,
     )

@@ -49,10 +49,9 @@ def test_filters_of_1996_are_convolutions(shape: tuple[int, int]) -> None:
             kernel_2d = np.outer(kernel, kernel)
             blurred += weight * scipy.ndimage.correlate(plane, kernel_2d, mode="reflect")
         plane[:] = blurred
-    expected = np.einsum("ij,jyx->yxi", np.linalg.inv(scielab.OPPONENT_FROM_XYZ), opponent)
     np.testing.assert_allclose(
         xyz_of_lab(scielab.filtered_lab(xyz, **VIEW, filters="zhang1996")),
-        expected,
+        np.einsum("ij,jyx->yxi", np.linalg.inv(scielab.OPPONENT_FROM_XYZ), opponent),
         rtol=0,
         atol=1e-10,
     )
