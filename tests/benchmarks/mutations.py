@@ -75,6 +75,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
         "charge_e - FARTHEST_SIGMAS * np.sqrt(charge_e2)",
     ): "tables of the upper end go on until pixels are full for sure",
+    ("pixsim/light/tables.py", "len(lines) + 1", "(2 * (len(lines) + 1))"): (
+        "a place behind the last line, where no comment stands"
+    ),
+    ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
+        "pixels above and below collect what pixels on both sides do"
+    ),
     ("pixsim/optics/lens.py", "below / 2", "(2 * (below / 2))"): (
         "the same root, found in more steps"
     ),

@@ -23,6 +23,7 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
     Tiling,
+    _area_shares,
     band_groups,
     camera_blur,
     camera_distortion,
@@ -545,6 +546,13 @@ WAVELENGTHS = [
         "one band is one wavelength",
         lambda: np.ravel(few_wavelengths(BANDS[[5, 15, 25]], np.array([0.0, 2.0, 0.0]), 4)),
         [550.0, 1.0],
+    ),
+    Claim(
+        "the middle of a die, nearer to the axis than to 0.5 mm, is a disc of a quarter",
+        lambda: _area_shares(Camera(die_mm=2.0, die_height_mm=1.0), np.array([0.0, 500.0])),
+        [np.pi / 32, 1 - np.pi / 32],
+        atol=2e-3,
+        why="64 points a side",
     ),
     Claim("groups of bands are whole", lambda: np.sum(band_groups(RANDOM, 6), axis=0), RANDOM > 0),
     Claim(

@@ -32,7 +32,7 @@ from pixsim.optics.glass import (
 from pixsim.optics.lens_defocus import depth_of_disc_m, depth_of_field_m, signed_disc_um
 from pixsim.optics.prescription import Surface
 from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
-from pixsim.optics.ray_trace import rays_from, trace
+from pixsim.optics.ray_trace import intersect, rays_from, trace
 from pixsim.optics.stack import (
     Stack,
     aperture_mtf,
@@ -410,6 +410,12 @@ def plate(angle_deg: float) -> list[float]:
     return [float(part[0, 0]) for part in (rays.y, rays.m, rays.path_mm)]
 
 
+def depth_in_ball(height_mm: float) -> float:
+    """Return how far behind the vertex of a ball of 1 mm a ray along its axis meets it."""
+    start = rays_from(*map(np.array, (0.0, height_mm, 0.0, 0.0, 0.0, 1.0)))
+    return float(intersect(start, Surface(1.0, 1.0), 1.0).z)
+
+
 def only_ghost(lens: list[Surface], height_mm: float, slope: float) -> Ghost:
     indices = [1.0, INDEX, 1.0]
     (ghost,) = find_ghosts(lens, indices, reflectances(indices), height_mm, slope)
@@ -444,6 +450,13 @@ def ghost_shares(coated: float | None) -> float:
 GHOST_MM = (INDEX - 1) * 50.0 / (3 * INDEX - 1)
 FOLDED = unfolded_path(thin_lens(0.0), [1.0, INDEX, 1.0], 0, 1)
 RAYS = [
+    Claim(
+        "a ray meets the front of a ball up to its rim",
+        lambda: list(map(depth_in_ball, (0.0, 0.6, 0.96))),
+        [0.0, 0.2, 0.72],
+        atol=1e-14,
+        why="rounding",
+    ),
     *(
         Claim(
             f"a plate at {deg:g}°: d tan θ', sin θ, n d/cos θ'",
