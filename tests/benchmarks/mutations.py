@@ -81,6 +81,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),
+    (
+        "pixsim/optics/camera_lens.py",
+        "math.hypot(camera.die_mm, camera.height_mm) / 2",
+        "math.hypot(camera.die_mm, camera.height_mm) * 2",
+    ): "the illumination of a die, which limits the height too, ends at its corner",
     ("pixsim/optics/lens.py", "below / 2", "(2 * (below / 2))"): (
         "the same root, found in more steps"
     ),

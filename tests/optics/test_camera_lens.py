@@ -862,7 +862,6 @@ def test_picture_of_a_point_has_the_centroid_of_the_traced_spot(
 def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None:
     camera = with_lens("cooke_triplet", 26.0, 1e4, focal_length_mm=50.0, refocus="paraxial")
     front, finer = (fitted_wavefronts(camera, (550.0,), nodes)[0] for nodes in (17, 33))
-    check("corner", front.height_um[-1], 13e3 * math.sqrt(2), rtol=1e-5, why="a margin of 1e-6")
     middles = front.height_um[:-1] + np.diff(front.height_um) / 2
     numbers = np.array([front.at(float(middle)) for middle in middles])
     check("half widths", numbers[:, :2], finer.numbers[1::2, :2], rtol=1e-5, why="a spline")
