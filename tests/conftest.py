@@ -160,12 +160,11 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     """
     import joblib
 
-    own = merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 256, "paper": True})
+    study = tiny(**merge(WHOLE_CHART, {"display": {"dots": 120}, "resolution": 256, "paper": True}))
     stored = shared_folder(tmp_path_factory) / "tiny_result"
     with FileLock(f"{stored}.lock"):  # it is made once for all workers of the run
         if not stored.exists():
-            result = pixsim.study(tiny(**own), tmp_path_factory.mktemp("tiny"), jobs=1)
-            joblib.dump(result, stored)
+            joblib.dump(pixsim.study(study, tmp_path_factory.mktemp("tiny"), jobs=1), stored)
     return joblib.load(stored)
 
 

@@ -38,29 +38,13 @@ def remembering(function: Callable) -> Callable:
     return quick
 
 
-def remembering_objects(method: Callable, part: Callable = lambda whole: whole) -> Callable:
-    """Return a method that keeps its results by the identity of an object, or of a part of it."""
-    results: dict = {}
-
-    def quick(whole, *arguments):
-        key = (id(part(whole)), *arguments)
-        if key not in results:
-            results[key] = part(whole), method(whole, *arguments)  # whose identity stays its own
-        return results[key][1]
-
-    return quick
-
-
 # Cyclopts builds its options and the checks of their types again for each command, and the flags
 # that negate each option for each word: most of the time of many of them here.
 Arguments = _collection.ArgumentCollection
 quick_adapter = remembering(pydantic.TypeAdapter)
 quick_groups = remembering(_collection._resolve_groups_from_callable)
 arguments_of = remembering(Arguments._from_callable)
-quick_negatives = remembering_objects(cyclopts.Parameter.get_negatives)
-quick_hint = remembering_objects(
-    cyclopts.Argument._negatives_hint.fget, lambda argument: argument.field_info
-)
+quick_negatives = remembering(cyclopts.Parameter.get_negatives)
 
 
 def quick_arguments(function: Callable, *parameters, reserved=None, **groups):
@@ -91,7 +75,6 @@ def command(line: str, *words: object) -> tuple[int, str, str]:
         patch.setattr(_collection, "_resolve_groups_from_callable", quick_groups)
         patch.setattr(Arguments, "_from_callable", quick_arguments)
         patch.setattr(cyclopts.Parameter, "get_negatives", quick_negatives)
-        patch.setattr(cyclopts.Argument, "_negatives_hint", property(quick_hint))
         with pytest.raises(SystemExit) as end:
             cli.main([*shlex.split(line), *map(str, words)])
     return end.value.code, out.getvalue(), SIGN_OF_LIFE.sub("", err.getvalue())
@@ -114,9 +97,13 @@ def process(
     environment = {
         name: value for name, value in (os.environ | changes).items() if value is not None
     }
-    run = [COMMAND, *shlex.split(line), *map(str, words)]
     return subprocess.run(
-        run, capture_output=True, text=True, timeout=HANG_S, cwd=folder, env=environment
+        [COMMAND, *shlex.split(line), *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        cwd=folder,
+        env=environment,
     )
 
 

@@ -53,9 +53,9 @@ def rejected(pattern: str | None = None) -> Iterator[pytest.ExceptionInfo[Pixsim
 
 def irregular_files(folder: Path, suffix: str) -> list[Path]:
     """Paths at which is no regular file, or one of the system without an end."""
-    names = ("pipe", "loop", "zero", "folder", "pagemap", "socket", "x" * 300)
     pipe, loop, zero, directory, pagemap, socket, too_long = (
-        folder / f"{name}{suffix}" for name in names
+        folder / f"{name}{suffix}"
+        for name in ("pipe", "loop", "zero", "folder", "pagemap", "socket", "x" * 300)
     )
     os.mkfifo(pipe)
     loop.symlink_to(loop)
@@ -69,8 +69,9 @@ def irregular_files(folder: Path, suffix: str) -> list[Path]:
 def png_bomb(side: int = 40_000) -> bytes:
     """A grey picture of 16 bits, all zeros."""
     rows_of_zeros = zlib.compressobj(9)
-    line = b"\0" * (2 * side + 1)
-    packed = b"".join(rows_of_zeros.compress(line) for _ in range(64)) + rows_of_zeros.flush()
+    packed = b"".join(
+        [*(rows_of_zeros.compress(bytes(2 * side + 1)) for _ in range(64)), rows_of_zeros.flush()]
+    )
     head = struct.pack(">2I5B", side, side, 16, 0, 0, 0, 0)
     chunks = (
         struct.pack(">I", len(content))
