@@ -39,8 +39,8 @@ LIMIT_S = 20.0
 NM = np.array([450.0, 550.0, 650.0])
 JUNK = {
     "None": None, "empty text": "", "text": "x", "-1": -1, "0": 0, "nan": math.nan, "inf": math.inf, "10**30": 10**30,
-    "1e-320": 1e-320, "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/no/such/file"),
-    "folder": Path("/tmp"), "10**400": 10**400, "ragged": [[1.0], [1.0, 2.0], [3.0]],
+    "1e-320": 1e-320, "[]": [], "{}": {}, "object()": object(), "a type": int, "missing path": Path("/proc/no/file"),
+    "folder": Path("/proc"), "10**400": 10**400, "ragged": [[1.0], [1.0, 2.0], [3.0]],
 }  # fmt: skip
 
 
