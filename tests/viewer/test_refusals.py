@@ -101,6 +101,11 @@ def overlapping() -> dict:
 
 
 ROWS: dict[str, tuple[Callable[[], object], str]] = {
+    # --- noise
+    "patches without noise": (
+        lambda: metrics.contrast_detection_probability([10.0], 0.1, [0.0], [0.0]),
+        "0 everywhere; allowed: noise in some patch",
+    ),
     # --- white
     "no white": (
         lambda: displays.white_cd_per_m2(light(), Display()),

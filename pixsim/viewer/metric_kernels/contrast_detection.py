@@ -42,6 +42,9 @@ def contrast_detection_probability(
     s_a = np.asarray(deviation_a_e, float)
     s_b = np.asarray(deviation_b_e, float)
     check_broadcast(mean_e=a_e.shape, deviation_a_e=s_a.shape, deviation_b_e=s_b.shape)
+    if not np.any(s_a) and not np.any(s_b):
+        raise invalid("deviation_a_e and deviation_b_e", "0 everywhere", "noise in some patch")
+
     return detection_probability((a_e, (1 + contrast) * a_e), (s_a, s_b), contrast, tolerance)
 
 
