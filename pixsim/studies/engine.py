@@ -55,7 +55,7 @@ _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 # For workers to come back after all are lost; between two looks.
 IDLE_SECONDS = 300.0
 WATCH_SECONDS = 5.0
-_SERIAL_SECONDS = 3.0  # of all evaluations in one process: processes take a second to start
+_SERIAL_SECONDS = 2.0  # of all evaluations in one process: two take a second to start
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 _AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
