@@ -1134,6 +1134,13 @@ READING = [
         rtol=1e-12,
     ),
     Claim(
+        "a burst of 4 has four wells and twice the noise",
+        lambda: maker_db(readout().burst(4), 0.0) - maker_db(readout(), 0.0),
+        20 * math.log10(2),
+        atol=1e-9,
+        why="rounding",
+    ),
+    Claim(
         "DR without noise",
         lambda: maker_db(readout(**QUIET_SHEET | {"read_noise_e": 0.0}), 0.0),
         math.inf,
