@@ -158,9 +158,8 @@ def readout_range(
     and time are of a frame.
     """
     readout = with_merge(readout)
-    last = readout.readings[-1]
-    largest_e = readout.saturation_e - last.dark_e(integration_s) / last.response
-    if largest_e <= _LOWEST_E:
+    largest_e, dark_noise_e = _ends_e(readout, integration_s, rounding)
+    if not largest_e:
         return DynamicRange(snr_db, (), 0.0, math.nan)
 
     def is_above(level_e: Array) -> NDArray[np.bool_]:
@@ -179,9 +178,28 @@ def readout_range(
         inner = np.where(is_before, middle, inner)
         outer = np.where(is_before, outer, middle)
     ends_e = np.sqrt(inner * outer).reshape(-1, 2).tolist()
-    dark_e2 = level_variance_e2(readout, np.zeros(1), integration_s, rounding=rounding)
     ranges = tuple((low_e, high_e) for low_e, high_e in ends_e)
-    return DynamicRange(snr_db, ranges, largest_e, math.sqrt(float(dark_e2[0])))
+    return DynamicRange(snr_db, ranges, largest_e, dark_noise_e)
+
+
+def makers_range_db(readout: Readout, integration_s: float, *, rounding: bool = True) -> float:
+    """Return `maker_db` of frames of a readout, without the search for its ranges; NaN where dark
+    charge fills the last reading.
+    """
+    ends_e = _ends_e(with_merge(readout), integration_s, rounding)
+    return DynamicRange(0.0, (), *ends_e).maker_db
+
+
+def _ends_e(readout: Readout, integration_s: float, rounding: bool) -> tuple[float, float]:
+    """Return the charge of light at which the last reading is full, and the deviation of the
+    estimate without light; 0 and NaN where dark charge fills the last reading.
+    """
+    last = readout.readings[-1]
+    largest_e = readout.saturation_e - last.dark_e(integration_s) / last.response
+    if largest_e <= _LOWEST_E:
+        return 0.0, math.nan
+    dark_e2 = level_variance_e2(readout, np.zeros(1), integration_s, rounding=rounding)
+    return largest_e, math.sqrt(float(dark_e2[0]))
 
 
 def levels_of_light_e(

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 from pixsim.base.digits import interval, percent
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
-from pixsim.sensor.dynamic_range import readout_range, readout_snr_db
+from pixsim.sensor.dynamic_range import makers_range_db, readout_snr_db
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -48,10 +48,7 @@ def dr_and_snr_db(
     options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
     pixels = [derive(Pixel.model_validate(option), technology) for option in options]
     readouts = [Readout.of(pixel) for pixel in pixels]
-    dr = [
-        readout_range(readout, 0.0, FIGURE_2_INTEGRATION_S, rounding=False).maker_db
-        for readout in readouts
-    ]
+    dr = [makers_range_db(readout, FIGURE_2_INTEGRATION_S, rounding=False) for readout in readouts]
     snr = [
         readout_snr_db(
             readout,

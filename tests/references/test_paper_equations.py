@@ -30,7 +30,7 @@ from references.gates import not_met, verdict
 from pixsim.base.arrays import stream
 from pixsim.measure.estimators import pair
 from pixsim.measure.experiment import with_black_level
-from pixsim.sensor.dynamic_range import readout_range, readout_snr_db
+from pixsim.sensor.dynamic_range import makers_range_db, readout_snr_db
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -174,7 +174,7 @@ def test_frames_match_equations(side: int) -> None:
 def test_pixel_methods_match_equations() -> None:
     readout = readout_of("0.35um", 6.5)
     true = equations_db(readout)
-    maker_db = readout_range(readout, 0.0, SECONDS, rounding=False).maker_db
+    maker_db = makers_range_db(readout, SECONDS, rounding=False)
     assert maker_db == pytest.approx(true["DR"], rel=1e-12)
     snr_db = readout_snr_db(readout, 0.2 * readout.full_well_e, SECONDS, rounding=False)
     assert float(snr_db) == pytest.approx(true["SNR at 20 %"], rel=1e-12)

@@ -19,7 +19,7 @@ from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.correction import outliers, residual_variance_e2, without_defects
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf
-from pixsim.sensor.dynamic_range import readout_range, readout_snr_db
+from pixsim.sensor.dynamic_range import makers_range_db, readout_snr_db
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.integration import diffusion_of, first_edge_um, pixel_count, pixels_on
 from pixsim.sensor.mismatch import (
@@ -115,7 +115,7 @@ def readout(*, exposure: Exposure | None = None, **over) -> Readout:
 
 
 def maker_db(reading: Readout, integration_s: float) -> float:
-    return readout_range(reading, 0.0, integration_s, rounding=False).maker_db
+    return makers_range_db(reading, integration_s, rounding=False)
 
 
 def snr_db(reading: Readout, charge_e: float, integration_s: float) -> float:
