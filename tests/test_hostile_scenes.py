@@ -161,8 +161,8 @@ def attacked(folder: Path, way: str, how: str | None = None) -> dict:
     "way",
     [
         "another plugin beside the scene",
-        "known plugins",
-        # Refused by its name, as the first is; each takes a process.
+        # Refused as the first is; each takes a process.
+        pytest.param("known plugins", marks=pytest.mark.slow),
         pytest.param("a path in the name", marks=pytest.mark.slow),
         "plugins of a packaged scene",
     ],
@@ -920,6 +920,7 @@ tracer.trace(0, film_of(4096), "independent", 1 << 16, 0)
 """
 
 
+@pytest.mark.slow
 def test_killed_parent_leaves_no_child(tmp_path):
     here = Path(__file__).parent
     words = [sys.executable, "-c", BUSY, str(here), str(tmp_path)]

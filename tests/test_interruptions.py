@@ -161,7 +161,7 @@ def moments(
 @pytest.mark.parametrize(
     ("name", "number", "of_group", "delay_s"),
     [
-        *moments(8, 1.5, seed=1)[::4],
+        moments(8, 1.5, seed=1)[0],
         # What is wrong during a twentieth of these times is met with a probability of 95 %: 1 -
         # 0.95⁶⁰.
         *(pytest.param(*moment, marks=pytest.mark.slow) for moment in moments(60, 3.0, seed=2)),
@@ -197,6 +197,7 @@ def test_signal_after_the_command_keeps_its_exit_code(number: str, tmp_path: Pat
 
 
 @proc
+@pytest.mark.slow
 def test_command_closed_terminal_or_nohup(tmp_path: Path) -> None:
     interrupt("run", signal.SIGHUP, False, 0.1, tmp_path)
     ignoring = started(
@@ -331,9 +332,10 @@ SFR, SFR_FILES = "sfr edge.npy --out out", {"report.html", "summary.json", FILE_
 @pytest.mark.parametrize(
     ("line", "place", "files", "code"),
     [
-        (SFR, "files.resolved", set(), 143),  # before the first file is moved
-        (SFR, "os.replace", SFR_FILES, 143),  # while files are moved
-        (SFR, "options.printable", SFR_FILES, 0),  # while the result is printed
+        # before the first file is moved, while files are moved, while the result is printed
+        pytest.param(SFR, "files.resolved", set(), 143, marks=pytest.mark.slow),
+        pytest.param(SFR, "os.replace", SFR_FILES, 143, marks=pytest.mark.slow),
+        pytest.param(SFR, "options.printable", SFR_FILES, 0, marks=pytest.mark.slow),
         ("template sensor -o out/sensor.toml", "pathlib.Path.write_text", set(), 143),
         ("chart siemens_star --width 16 --height 16 -o out/star.exr", "charts.writing", set(), 143),
     ],
@@ -378,7 +380,9 @@ if __name__ == "__main__":
 
 
 @proc
-@pytest.mark.parametrize("delay_s", [0.0, pytest.param(0.3, marks=pytest.mark.slow), 1.0])
+@pytest.mark.parametrize(
+    "delay_s", [0.0, *(pytest.param(delay_s, marks=pytest.mark.slow) for delay_s in (0.3, 1.0))]
+)
 def test_killed_process_leaves_no_workers_and_next_command_cleans_up(
     delay_s: float, tmp_path: Path, monkeypatch
 ) -> None:

@@ -142,6 +142,7 @@ def python(
     )
 
 
+@pytest.mark.slow
 def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path: Path) -> None:
     """The number is that of this machine; files, which need locks of folders, are refused with what
     to do.
@@ -237,6 +238,7 @@ def plant(folder: Path, names: Sequence[str]) -> Path:
     return log
 
 
+@pytest.mark.slow
 def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
     """Of any name of the standard library and of the packages that are installed; by a child that
     renders, and by workers.

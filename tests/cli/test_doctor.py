@@ -68,6 +68,7 @@ def test_closed_form_lx_matches_hand_calculation():
     ],
     ids=["import", "hang"],
 )
+@pytest.mark.slow
 def test_render_broken_mitsuba_is_problem(
     text: str, limit_s: float, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -437,6 +437,7 @@ def test_closed_page_ends_the_session(monkeypatch):
 # ------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_command_prints_the_file_and_ends_by_an_interruption():
     running = subprocess.Popen(
         [COMMAND, "explore", "csf", *OPTIONS.split()],

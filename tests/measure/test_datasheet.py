@@ -785,6 +785,7 @@ def test_crosstalk_raises_the_noise_gains() -> None:
 # Files
 
 
+@pytest.mark.slow
 def test_python_and_the_command_measure_the_same(tmp_path: Path, monkeypatch) -> None:
     few = partial(make_datasheet, shape=(40, 40), stack_frames=4)
     monkeypatch.setattr(datasheet, "make_datasheet", few)

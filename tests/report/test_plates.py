@@ -223,6 +223,7 @@ print(*sorted({"matplotlib", "pandas", "mitsuba"} & set(sys.modules)))
 """
 
 
+@pytest.mark.slow
 def test_workers_that_make_pictures_import_no_matplotlib(
     tiny_result: StudyResult, tmp_path: Path
 ) -> None:
@@ -236,6 +237,7 @@ def test_workers_that_make_pictures_import_no_matplotlib(
     )
 
 
+@pytest.mark.slow
 def test_page_that_is_begun_while_workers_evaluate_is_the_same(tiny_result: StudyResult) -> None:
     result = replace(tiny_result, study=tiny_result.study.model_copy(update={"paper": True}))
     pages = []

@@ -97,8 +97,8 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
         ("run mine.xml --pixel.technology mine.toml -D chart=star.exr -D spp=4 --camera.die-mm 1 --variant scalar_spectral --full "
          "--resolution 32 --display.dots 64 --render-noise 10", "run --config settings.toml --full", RUN_FILES, SCORE),
         ("run light.npz --config sheet.toml --seed 2", "run --config settings.toml", RUN_FILES, SCORE[:5]),
-        (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --repeats 2", (),
-         (*COMPARED, "conditions", "probability_a_better", "displays", "verdicts")),
+        pytest.param(f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --repeats 2", (),
+         (*COMPARED, "conditions", "probability_a_better", "displays", "verdicts"), marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_command_of_settings_makes_the_same_numbers(
@@ -138,6 +138,7 @@ def test_command_of_settings_makes_the_same_numbers(
         assert first["display"]["dots"] == 91  # the sheet's pixels across, 1.1 mm / 12 µm
 
 
+@pytest.mark.slow
 def test_settings_of_a_study_make_the_same_numbers_in_another_folder(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

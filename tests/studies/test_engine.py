@@ -128,6 +128,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_study_that_was_killed_is_resumed(
     desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +182,7 @@ def client(cluster: str) -> Iterator:
         yield client
 
 
+@pytest.mark.slow
 def test_study_on_a_cluster_has_the_same_bytes_and_needs_no_file_of_the_user_there(
     client, desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

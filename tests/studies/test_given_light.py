@@ -189,6 +189,7 @@ def test_metric_without_a_number_for_a_sensor_is_nan() -> None:
     assert np.isnan(table[0]["visual_noise"])
 
 
+@pytest.mark.slow
 def test_processes_change_no_number_and_another_light_does() -> None:
     """Two lights whose headers say the same, in the workers of one another: their chains are not
     mixed up.

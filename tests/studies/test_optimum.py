@@ -310,6 +310,7 @@ print(json.dumps([fit.delta_e.tolist(), fit.low.tolist(), fit.high.tolist()]))
 """
 
 
+@pytest.mark.slow
 def test_fit_curve_is_independent_of_blas_threads() -> None:
     """Tests have one (tests/conftest.py)."""
     delta_e = sensors_of(parabola(PITCH_UM), 3, 0.01)

@@ -30,6 +30,7 @@ def rms_error(score) -> float:
 vars(rms_error).update(unit="of white", title="RMS error", unseen="what the eye does not see")
 
 
+@pytest.mark.slow
 def test_a_function_is_a_metric_of_a_study_in_any_process(plan: Path, tmp_path: Path) -> None:
     """Workers get it by value, and know no function by its name: neither for frames, nor for the
     lights that they compute. So they get one that denoises, which is local here.

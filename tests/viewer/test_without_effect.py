@@ -316,9 +316,9 @@ def acts(reference: dict, name: str, value) -> bool:
 
 @pytest.mark.parametrize(
     "configuration",
-    # A 3T pixel and a colour sensor have most settings; the others are more values.
+    # A 3T pixel has most settings; the others are more values.
     [
-        name if name in ("3T", "colour") else pytest.param(name, marks=pytest.mark.slow)
+        name if name == "3T" else pytest.param(name, marks=pytest.mark.slow)
         for name in CONFIGURATIONS
     ],
 )
