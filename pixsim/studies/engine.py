@@ -44,6 +44,7 @@ Calls = dict[int, Call[Task, Shared]]  # by number
 _Reply = tuple[int, Result, list[Note]]  # a call's number, its result and its warnings
 _NAMED_TASKS = 4  # named in an error message
 _SUSPECTS = 2  # calls per job that are running or queued
+_SIGNAL_S = 0.1  # until a signal that ended workers has ended this process, too
 CONNECT_SECONDS = 10.0
 WORKER_SECONDS = 30.0  # to wait for a cluster's first worker
 # For a client that has lost its scheduler, which gives up after `CONNECT_SECONDS`; between two
@@ -208,6 +209,9 @@ def results_of(
         yield from attempt(unfinished)
         if not unfinished:
             break
+        # A signal to the whole group ends workers before this process: the command ends here then,
+        # not with a word of lost workers.
+        time.sleep(_SIGNAL_S)
         words = (
             f"a worker process died; retrying the remaining {len(unfinished)} of {len(calls)} tasks"
         )
