@@ -218,7 +218,7 @@ class SpectralImage:
                 )
         else:
             values = np.asarray(data, np.float32)
-            self.data = values if is_mapped(values) else np.ascontiguousarray(values)
+            self.data = values
             if self.data.ndim != 3 or self.data.shape[2] != self.wavelength_nm.size:
                 hint = bands_last_hint(self.data.shape, self.wavelength_nm.size)
                 raise invalid(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base import cache, mapped
+from pixsim.base import cache
 from pixsim.base.arrays import Array, strips
 from pixsim.base.bounds import Whole
 from pixsim.base.errors import PixsimError, invalid
@@ -236,12 +236,12 @@ class _RowTrace(NamedTuple):
     """The trace of some rows of a film.
 
     rows : of the film
-    pulses : whose pictures it gives
+    pulses : whose pictures it gives, of one light
     trace : returns the pictures of a seed, (rows, columns, pulses)
     """
 
     rows: slice
-    pulses: list[int]
+    pulses: slice | list[int]
     trace: Callable[[int], NDArray[np.float32]]
 
 
@@ -528,10 +528,10 @@ class Renderer:
                 (*self.rendered_size, len(light.fit.pulses)), np.float32
             )
             for rows, pulses, trace in traces.rows:
-                total = np.zeros((rows.stop - rows.start, self.rendered_size[1], len(pulses)))
+                total = np.zeros(())
                 for _ in range(traces.renders):
                     picture = _checked(trace((first_seed + number) % 2**32))
-                    total += picture / traces.renders
+                    total = total + picture / traces.renders
                     number += 1
                     if progress:
                         progress(number / count)
@@ -565,7 +565,7 @@ class Renderer:
             spp = self.tracer.sample_count(sampler, spp)
         rows: list[_RowTrace] = []
         if passes is not None and (in_blocks or len(passes.groups) > 1):
-            pulses = list(range(len(light.fit.pulses)))
+            all_pulses = slice(None)
             for strip in self._film_strips(spp * len(light.fit.passes), _SAMPLES_TOGETHER):
                 trace = partial(
                     self.tracer.trace_together,
@@ -575,7 +575,7 @@ class Renderer:
                     spp,
                     block_cells=_BLOCK_CELLS if in_blocks else 1,
                 )
-                rows.append(_RowTrace(strip, pulses, trace))
+                rows.append(_RowTrace(strip, all_pulses, trace))
             return _LightTraces(renders, renders * spp, rows)
 
         # One pass at a time, whose pulses are the channels of a film
@@ -655,21 +655,15 @@ class Renderer:
     def _band_planes(self, pictures: Sequence[Picture]) -> NDArray[np.float32]:
         """Return the irradiance in all bands, (H, W, B)."""
         count = self.plan.light.bands.width_nm.size
-        size_bytes = 4 * count * math.prod(self.rendered_size)
-        result: NDArray[np.float32]
-        if size_bytes > mapped.MAX_MEMORY_BYTES:  # in a file each band has a place of its own
-            result = np.moveaxis(zeros((count, *self.rendered_size), np.float32), 0, 2)
-        else:
-            result = np.empty((*self.rendered_size, count), np.float32)
-
+        planes: NDArray[np.float32] = zeros((count, *self.rendered_size), np.float32)
         for rows in strips(*self.rendered_size):
             row_pictures = [picture[rows] for picture in pictures]
             bands = self._bands(row_pictures, self.fall_off(rows))
-            for band, irradiance in enumerate(bands):
-                result[rows, :, band] = irradiance
-                release(result[rows, :, band])
+            for plane, irradiance in zip(planes, bands, strict=True):
+                plane[rows] = irradiance
+                release(plane[rows])
             release(*row_pictures)
-        return result
+        return np.moveaxis(planes, 0, 2)
 
     @cached_property
     def diffuser(self) -> dict[str, Any]:
@@ -706,11 +700,12 @@ class Renderer:
     def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
         """Iterate over the irradiance in each band; all bands together would fill the memory."""
         factor = self.on_axis * fall_off
+        lights = [np.ascontiguousarray(np.moveaxis(planes, 2, 0)) for planes in pictures]
         for band in range(self.plan.light.bands.width_nm.size):
             total = np.zeros(fall_off.shape)
-            for light, planes in zip(self.plan.light.lamps, pictures, strict=True):
+            for light, planes in zip(self.plan.light.lamps, lights, strict=True):
                 for pulse in np.flatnonzero(light.fit.spectra[:, band]):
-                    total += light.fit.spectra[pulse, band] * planes[:, :, pulse]
+                    total += light.fit.spectra[pulse, band] * planes[pulse]
             yield total * factor
 
     @property
