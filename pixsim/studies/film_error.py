@@ -162,14 +162,15 @@ def coarser(image: SpectralImage, factor: int) -> SpectralImage:
     """
     whole = image.whole if image.margin % factor == 0 else image
     height, width = whole.shape
-    blocks = height // factor, factor, width // factor, factor
-    # One plane at a time, to save memory in float64.
-    planes = [
-        plane.reshape(blocks).mean(axis=(1, 3), dtype=float).astype(np.float32)
-        for plane in whole.planes
-    ]
+    planes = np.empty((len(whole.planes), height // factor, width // factor), np.float32)
+    for plane, means in zip(whole.planes, planes, strict=True):
+        # Sums of strided samples take a fifth of the time of `mean` over two axes.
+        total = np.zeros(means.shape)
+        for row, column in product(range(factor), repeat=2):
+            total += plane[row::factor, column::factor]
+        means[:] = total / factor**2
     margin = (height - image.shape[0]) // 2 // factor
-    return image.with_planes(np.stack(planes), pitch_um=image.pitch_um * factor, margin=margin)
+    return image.with_planes(planes, pitch_um=image.pitch_um * factor, margin=margin)
 
 
 def measured_regions(
@@ -254,7 +255,10 @@ class _PicturePart:
             return self.image
         planes = self.image.planes
         if self.chart is None:
-            planes = _with_edges(_with_edges(planes, repeated, axis=1), repeated, axis=2)
+            shape = [repeated * side for side in self.image.shape]
+            planes = np.empty((len(planes), *shape), np.float32)
+            for coarse, fine in zip(self.image.planes, planes, strict=True):  # they fit into caches
+                fine[:] = _with_edges(_with_edges(coarse, repeated, axis=0), repeated, axis=1)
         else:
             planes = planes.repeat(repeated, axis=1).repeat(repeated, axis=2)
             height, width = self.chart.shape
@@ -274,15 +278,15 @@ class _PicturePart:
         return image if averaged == 1 else coarser(image, averaged)
 
 
-def _with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[np.float32]:
-    """Return planes on `factor` times as many samples along an axis, with an edge within each old
+def _with_edges(plane: NDArray[np.float32], factor: int, axis: int) -> NDArray[np.float32]:
+    """Return a plane on `factor` times as many samples along an axis, with an edge within each old
     sample and its mean.
 
     A sample between its neighbours holds a step from the light of one neighbour to the light of the
     other, where the mean puts it (subcell resolution: Harten, J. Comput. Phys. 83 (1989) 148). One
     that is brighter or darker than both is uniform.
     """
-    samples = np.moveaxis(planes, axis, -1)
+    samples = np.moveaxis(plane, axis, -1)
     padded = np.pad(samples, [(0, 0)] * (samples.ndim - 1) + [(1, 1)], mode="edge")
     before = padded[..., :-2]
     after = padded[..., 2:]
