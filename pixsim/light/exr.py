@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.bounds import LARGEST, SMALLEST
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import check_compression, check_size, opened, quiet_output, replacing
+from pixsim.base.files import check_compression, opened, quiet_output, replacing
 from pixsim.base.mapped import release
 from pixsim.light.spectral import (
     DIFFUSER,
@@ -90,11 +90,6 @@ def _check_header(path: Path, file: IO[bytes]) -> None:
             "EXR file", f"{width} × {height} values in '{path}'", f"1 to {_MAX_SIDE} per side"
         )
 
-    check_size(
-        f"EXR file '{path}'",
-        4 * width * height * count,
-        f"bytes, for {width} × {height} × {count} values",
-    )
     if not 1 <= count <= MAX_CHANNELS:
         raise invalid("EXR file", f"{count} channels in '{path}'", f"1 to {MAX_CHANNELS}")
     if version & _TILED:

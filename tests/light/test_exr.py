@@ -200,7 +200,30 @@ def test_interrupted_write_leaves_old_file(tmp_path: Path, monkeypatch) -> None:
 
 
 EXR = struct.pack("<II", 20000630, 2)
+
+
+def header(*window: int, tile: int = 0) -> bytes:
+    """Return the header of a file of two channels with a window of left, top, right and bottom."""
+    channels = b"".join(struct.pack("<2siIii", name, 2, 0, 1, 1) for name in (b"a", b"b"))
+    return struct.pack("<II", 20000630, 0x202 if tile else 2) + b"".join(
+        struct.pack(f"<{len(name) + 1}s2sI", name.encode(), b"t", len(value)) + value
+        for name, value in {
+            "channels": channels + b"\0",
+            "compression": b"\0",
+            "dataWindow": struct.pack("<4i", *window),
+            "tiles": struct.pack("<2IB", tile, tile, 0),
+            "": b"",
+        }.items()
+    )
+
+
 FILES = [
+    ("no rows", header(5, 7, 9, 6), "5 × 0 values"),
+    ("too wide", header(7, 1, 7 + (1 << 20), 1), "1048577 × 1 values"),
+    ("much content", header(-4, 3, 8187, 4099), "268500992 bytes of content"),
+    ("as much as is allowed", header(-4, 3, 8187, 4098), r"exr' \("),
+    ("large tiles", header(0, 0, 9, 9, tile=5793), "tiles of 5793 × 5793"),
+    ("and as large as is allowed", header(0, 0, 9, 9, tile=5792), r"exr' \("),
     ("no EXR", b"not an EXR", "does not start like"),
     ("damaged", EXR + b"\xff" * 400, "damaged"),
     ("cut", EXR + b"channels\0chlist\0", "damaged"),
@@ -215,7 +238,7 @@ FILES = [
 def test_files_that_are_no_light(name: str, content, words: str, tmp_path: Path) -> None:
     if content is not None:
         (tmp_path / "image.exr").write_bytes(content)
-    with pytest.raises(PixsimError, match=f"EXR file: got .*{words}"):
+    with pytest.raises(PixsimError, match=f"EXR file.*: got .*{words}"):
         read_exr(tmp_path / "image.exr")
 
 

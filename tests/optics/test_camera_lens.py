@@ -7,14 +7,15 @@ import math
 import re
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.blur import point_spread
 from helpers.claims import Claim, check
-from scipy import integrate, interpolate, special
+from scipy import integrate, interpolate, ndimage, special
 
 from pixsim import PixsimError, SpectralImage, optics
 from pixsim.base.toml import packaged
@@ -22,8 +23,12 @@ from pixsim.optics import camera_lens
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
     LENS_HEADER,
+    Distortion,
     Tiling,
     _area_shares,
+    _blur_error,
+    _chosen_tiling,
+    _TestPoints,
     band_groups,
     camera_blur,
     camera_distortion,
@@ -48,6 +53,7 @@ from pixsim.optics.field_blur import (
     OUTLINE_ANGLES,
     ChannelWavefronts,
     FieldBlur,
+    FittedWavefronts,
     PupilRays,
     RadialPsfs,
     distinct_tiles,
@@ -139,6 +145,61 @@ def rms(values: np.ndarray) -> float:
 
 
 TURNS = np.linspace(-0.5, 0.5, 101, dtype=np.float32)
+HEIGHTS_MM = np.linspace(0, 1, 33)
+
+
+def spline_between_cells(frequency: float, shift: float) -> complex:
+    """Return a wave, of whole periods in 40 cells, between its cells by SciPy's spline of degree 5,
+    relative to the wave.
+    """
+    wave = np.exp(2j * np.pi * frequency * np.arange(40))
+    moved = ndimage.shift(wave, -shift, order=5, mode="grid-wrap")
+    return (moved / wave)[0] * np.exp(-2j * np.pi * frequency * shift)
+
+
+def error_of_moved_waves(undistorted_mm: np.ndarray, pitch_um: float, frequency: float) -> float:
+    """Return `moved_error` of waves along one axis."""
+    distortion = Distortion(HEIGHTS_MM, undistorted_mm)
+    return float(moved_error(distortion, pitch_um, np.array([0.0, frequency]))[0, 1])
+
+
+def softening(cy_per_mm: np.ndarray, nm: float) -> np.ndarray:
+    return np.exp(-((cy_per_mm * nm * 1e-4) ** 2))
+
+
+def ideal_light_at(f_number: float) -> ChannelWavefronts:
+    return thin_lens_light(f_number, np.zeros(1), lambda u, v, _: 0 * u)
+
+
+def softened_otf() -> np.ndarray:
+    """Return the OTF of 550 and 650 nm through an f/200 and a transfer that differs for them."""
+    (front,) = ideal_light_at(200.0).fronts
+    fronts = [front, replace(front, wavelength_nm=650.0)]
+    light = ChannelWavefronts(fronts, np.array([0.3, 0.7]), softening)
+    return otf_along(periodic_psf(light, 0.0, 0.0, 20.0, 400), 20.0)[1]
+
+
+def otf_error(pitch_um: float) -> float:
+    """Return `picture_error` of the OTF of f/16 for that of f/8, on 128 cells."""
+    frequency = np.hypot(np.fft.fftfreq(128)[:, None], np.fft.rfftfreq(128)) / (1e-3 * pitch_um)
+    f16, f8 = (
+        optics.diffraction_otf(frequency, NM, math.hypot(1, 2 * n) / 2) + 0j for n in (16.0, 8.0)
+    )
+    return picture_error(f16, f8, pitch_um, 5.0)
+
+
+def is_usable(**fields: float) -> bool:
+    """Return whether a tiling is accepted for a picture of 8 × 64 cells of 2 µm."""
+    header = {LENS_HEADER: {"spacing_um": 128.0, "psf_um": 8.0, "error": 0.0} | fields}
+    image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((8, 64, 1)), header=header)
+    try:
+        return camera_lens.image_tiling(image, GAUSS) is not None
+    except PixsimError:
+        return False
+
+
+OTF_CY_PER_MM = np.arange(200) / 8.0
+F16 = Camera(focal_length_mm=1.0, f_number=16.0, object_distance_m=1e6)
 KERNELS = [
     # The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
     # beyond z = 20.
@@ -167,6 +228,62 @@ KERNELS = [
         np.zeros(4),
         atol=0.01,
         why="aberrations of many waves",
+    ),
+    Claim(
+        "waves a quarter of a cell between cells have the error of SciPy's spline",
+        lambda: error_of_moved_waves((1 - 1e-6) * HEIGHTS_MM, 1e-3 / 0.25, 0.2),
+        abs(spline_between_cells(0.2, 0.25) - 1),
+        rtol=3e-5,
+        why="images beyond the fourth, and a scale of 1 - 1e-6",
+    ),
+    # Cells 1/m as large, m² = 1/q, cost (πf)⁴ (1 - q)(3 - 7q)/360 by the series of their means:
+    # those at the corner, where m is 0.9, and on the axis none.
+    Claim(
+        "cells of another size cost the fourth power of the frequency",
+        lambda: error_of_moved_waves(HEIGHTS_MM - HEIGHTS_MM**3 / 30, 1e9, 0.03),
+        (0.03 * np.pi) ** 4 * (1 - 0.81**-1) * (3 - 7 * 0.81**-1) / 360,
+        rtol=0.03,
+        why="the next term, (2πf)²",
+    ),
+    Claim(
+        "a transfer behind the lens multiplies the OTF of each wavelength",
+        softened_otf,
+        sum(
+            share
+            * optics.diffraction_otf(OTF_CY_PER_MM, nm, math.hypot(1, 400) / 2)
+            * softening(OTF_CY_PER_MM, nm)
+            for share, nm in ((0.3, 550.0), (0.7, 650.0))
+        ),
+        atol=1e-3,
+        why="samples of the pupil",
+    ),
+    Claim(
+        "diffraction of f/16 in place of f/8 on fine and coarse films: the error of its OTF",
+        lambda: [
+            _blur_error(F16, ideal_light_at(8.0), pitch_um, 5.0) for pitch_um in (0.5, 1.0, 4.0)
+        ],
+        [otf_error(pitch_um) for pitch_um in (1.0, 1.0, 4.0)],
+        rtol=3e-3,
+        why="frequencies of another window",
+    ),
+    Claim(
+        "tilings of a header are at most twice as fine as those that are chosen",
+        lambda: [
+            is_usable(**fields)
+            for fields in (
+                {"spacing_um": 1.0},
+                {"spacing_um": 0.99},
+                {"psf_um": 516.0},
+                {"psf_um": 517.0},
+                {"wavelengths": 12},
+                {"wavelengths": 13},
+                {"nodes": 4},
+                {"nodes": 3},
+                {"nodes": 65},
+                {"nodes": 66},
+            )
+        ],
+        [1, 0] * 5,
     ),
 ]
 
@@ -866,6 +983,59 @@ def test_interpolated_wavefronts_are_the_traced_ones_between_the_nodes() -> None
     numbers = np.array([front.at(float(middle)) for middle in middles])
     check("half widths", numbers[:, :2], finer.numbers[1::2, :2], rtol=1e-5, why="a spline")
     check("waves", numbers[:, 3:30], finer.numbers[1::2, 3:30], atol=2e-3, why="a spline")
+
+
+def test_each_part_of_a_tiling_has_its_share_of_the_tolerance(monkeypatch) -> None:
+    """Wavelengths and nodes a fifth each, PSFs two fifths, of a thin lens with a defocus that grows
+    with the wavelength and the fourth power of the field.
+    """
+
+    @cache
+    def front(nm: float, *heights_mm: float) -> FittedWavefronts:
+        def defocus(u: np.ndarray, v: np.ndarray, tangent: float) -> np.ndarray:
+            return ((nm - 550) / 5e4 + 100 * tangent**4) * (u**2 + v**2)
+
+        (front,) = thin_lens_light(8.0, np.array(heights_mm) / 20, defocus).fronts
+        return replace(front, wavelength_nm=nm, height_um=1e3 * np.array(heights_mm))
+
+    def wavefronts(_: Camera, wavelengths_nm: tuple[float, ...], height_mm: np.ndarray) -> list:
+        return [front(nm, *height_mm.tolist()) for nm in wavelengths_nm]
+
+    def nodes_to_corner(camera: Camera, nm: tuple[float, ...], nodes: int) -> list:
+        return wavefronts(camera, nm, np.linspace(0, 3 * math.sqrt(2), nodes))
+
+    for name, value in {
+        "_wavefronts": wavefronts,
+        "fitted_wavefronts": nodes_to_corner,
+        "_with_fewest_tiles": lambda _, tiling, *__: tiling,
+        "_WAVELENGTH_COUNTS": (1, 2),
+        "_NODE_COUNTS": (3, 5),
+        "_PSF_SIDES": (9, 17),
+    }.items():
+        monkeypatch.setattr(camera_lens, name, value)
+    camera = with_lens("singlet", 6.0, focal_length_mm=20.0)
+    nm, weight = np.linspace(400.0, 700.0, 31), np.ones(31)
+    points = _TestPoints(camera, (400, 400), 4.0, nm, weight, 8.0)
+    lights = [
+        points.traced_light(1),
+        points.traced_light(2),
+        channel_wavefronts(camera, nm, weight, Tiling(0.0, 0.0, 0.0, wavelengths=1, nodes=3)),
+    ]
+    window = points.window(lights[1], 33)
+    exact, two, interpolated = (points.transforms(light, window) for light in lights)
+    cut = _chosen_tiling(points, math.inf).cut_error
+    chosen = [
+        _chosen_tiling(points, side * tolerance)
+        for tolerance in (
+            cut / 0.4,
+            points.error(interpolated, exact) / 0.2,
+            points.error(exact, two) / 0.2,
+        )
+        for side in (1.01, 0.99)
+    ]
+    counts = [(tiling.wavelengths, tiling.nodes, tiling.psf_um / 4) for tiling in chosen]
+    wanted = [(1, 3, 9), (1, 3, 17), (1, 3, 17), (1, 5, 17), (1, 5, 17), (2, 5, 17)]
+    check("wavelengths, nodes, cells", counts, wanted, why="the fewest")
 
 
 def test_tighter_tolerance_chooses_a_finer_tiling() -> None:

@@ -21,6 +21,7 @@ from pixsim.optics.stack import Stack, collected_shares
 from pixsim.sensor.collection import (
     ColourCollection,
     Illumination,
+    _charge_shares,
     bin_pixels,
     check_efficiency,
     collected_fraction,
@@ -244,6 +245,8 @@ SHEET = {
 }
 PLAIN = physics(**WHOLE | {"quantum_efficiency_includes": "photodiode"})
 BARE_LENSED = physics(LENSED, stack={"microlens": "none", "shift_um": [0.1, 0.0]})
+DIFFUSING = physics(stack=STACKS["diffusion"])
+F2_RAYS = disc_pupil(numerical_aperture(2.0)).directions(3, 8)
 CROSSTALK = kernel_on_axis(physics(stack=STACKS["optimal"]), EMVA)
 EFFICIENCIES = [
     Claim(
@@ -316,6 +319,20 @@ EFFICIENCIES = [
         0.9 * CROSSTALK[2, 2] + 0.025 * (CROSSTALK[[1, 3, 2, 2], [2, 2, 1, 3]]).sum(),
         atol=1e-4,
         why="shares below 1e-5 are left to the pixel",
+    ),
+    Claim(
+        "charge under a lens starts in a square with the variance of its spot, a disc of h sin α/n",
+        lambda: _charge_shares(
+            DIFFUSING.stack, DIFFUSING.charge, numerical_aperture(2.0), np.array([850.0])
+        ),
+        diffused_shares(
+            6.0,
+            math.sqrt(12 * (4.0 / 1.5) ** 2 * (F2_RAYS.cosines[:, 0] ** 2 @ F2_RAYS.shares)),
+            absorption_per_um([850.0], DIFFUSING.charge.silicon_k),
+            1.0,
+            10.0,
+        ),
+        atol=1e-9,
     ),
     Claim(
         "shares on axis and in the corner under an optimal shift",

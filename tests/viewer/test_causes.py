@@ -250,12 +250,20 @@ CLAIMS = [
         lambda: delta_e_of(HIDDEN, 10 / HIDDEN.dn_per_e),
         [100.0],
     ),
+    # In each exposure 64² of read noise, 3600 dark electrons and their DSNU of 48; PRNU of the light alone.
     *(
         Claim(
             f"light of {share} thousandths of the noise is lost, {count} subexposures",
             lambda count=count, share=share: int(
                 is_uninformative(
-                    readout_of(read_noise_e=100.0, black_level_dn=1000, bits=16).burst(count),
+                    readout_of(
+                        read_noise_e=64.0,
+                        dark_current_e_per_s=count * 360_000.0,
+                        prnu=0.3,
+                        dsnu=48 / 3600,
+                        black_level_dn=1000,
+                        bits=16,
+                    ).burst(count),
                     count * 0.1 * share,
                     0.01,
                     100.0,
