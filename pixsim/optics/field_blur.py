@@ -158,8 +158,7 @@ class FittedWavefronts:
         """
         numbers = self.at(height_um)
         exponents = powers()
-        half_widths = numbers[:2]
-        lateral_colour_um = numbers[2]
+        half_width_u, half_width_v, lateral_colour_um = numbers[:3]
         coefficients = numbers[3 : 3 + len(exponents)]
 
         # Rays on a spiral with the golden angle.
@@ -172,8 +171,8 @@ class FittedWavefronts:
         slopes_u = a * u ** np.maximum(a - 1, 0) * v**b
         slopes_v = b * u**a * v ** np.maximum(b - 1, 0)
         wavelength_um = self.wavelength_nm * UM_PER_NM
-        sagittal_um = wavelength_um * (slopes_u @ coefficients) / half_widths[0]
-        radial_um = wavelength_um * (slopes_v @ coefficients) / half_widths[1]
+        sagittal_um = wavelength_um * (slopes_u @ coefficients) / half_width_u
+        radial_um = wavelength_um * (slopes_v @ coefficients) / half_width_v
         return np.stack([sagittal_um, radial_um], axis=-1) + np.array([0.0, lateral_colour_um])
 
 

@@ -1021,6 +1021,8 @@ def test_each_part_of_a_tiling_has_its_share_of_the_tolerance(monkeypatch) -> No
         points.traced_light(2),
         channel_wavefronts(camera, nm, weight, Tiling(0.0, 0.0, 0.0, wavelengths=1, nodes=3)),
     ]
+    height_um = 3e3 * math.sqrt(2) * np.array([0, 0.25, 0.5, 0.7, 0.86, 0.97])
+    check("places", lights[0].fronts[0].height_um, height_um, rtol=1e-5, why="the traced circle")
     window = points.window(lights[1], 33)
     exact, two, interpolated = (points.transforms(light, window) for light in lights)
     cut = _chosen_tiling(points, math.inf).cut_error

@@ -345,6 +345,29 @@ def peak_of_clipped_variance_e(well_e: float) -> float:
     return float(mean_e[np.argmax(mean_e * (second - first**2))])
 
 
+SHEET_WITHOUT_WELL = {
+    "technology": "none",
+    "pitch_um": 4.0,
+    "quantum_efficiency": 0.5,
+    "dark_current_e_per_s": 5.0,
+    "read_noise_e": 30.0,
+    "bits": 12,
+}
+
+
+def capacity_again_e(**fields) -> float:
+    """Saturation capacity of a pixel's well, ADC and noise, which were solved for a stated one."""
+    reading = Readout.of(derive(Pixel(**fields)))
+    pixel = reading.physics
+    return saturation_capacity_e(
+        reading.full_well_e,
+        reading.adc_range_e if "gain_e_per_dn" in fields else None,
+        math.hypot(pixel.reset_noise_e, reading.read_noise_e),
+        pixel.prnu,
+        math.hypot(pixel.offset_fpn_e, pixel.number("column_fpn") * reading.full_well_e),
+    )
+
+
 LEVELS = np.linspace(-20.0, 20.0, 41)
 FIRST, SECOND = clipped_moments(LEVELS, 3.0, 0.0)
 CODES = [
@@ -438,6 +461,46 @@ CODES = [
         "no well gives 10 000 e- where the ADC ends at 9000: it is left out",
         lambda: full_well_for_e(10_000.0, 9000.0, 2.0, 0.0, 0.0),
         full_well_for_e(10_000.0, None, 2.0, 0.0, 0.0),
+        rtol=1e-12,
+    ),
+    *(
+        Claim(
+            f"a pixel has the stated saturation capacity, {name}",
+            lambda fields=fields: capacity_again_e(**fields) / fields["saturation_capacity_e"],
+            1.0,
+            rtol=2e-4,
+            why="1e-4 as the search promises, and nodes of the kink",
+        )
+        for name, fields in (
+            (
+                "with the reset noise of its well",
+                {
+                    "technology": "0.35um",
+                    "pitch_um": 6.5,
+                    "saturation_capacity_e": 1000.0,
+                    "reset_noise_factor": 3.0,
+                },
+            ),
+            (
+                "with an ADC that ends at it, above the black level of its noise",
+                SHEET_WITHOUT_WELL
+                | {"saturation_capacity_e": 9000.0, "gain_e_per_dn": 2.35, "dsnu_e": 20.0},
+            ),
+        )
+    ),
+    Claim(
+        "and without a limit by the ADC where the black level of its noise ends it before",
+        lambda: (
+            derive(
+                Pixel(
+                    **SHEET_WITHOUT_WELL,
+                    saturation_capacity_e=9000.0,
+                    gain_e_per_dn=2.3,
+                    dsnu_e=20.0,
+                )
+            ).full_well_e
+        ),
+        full_well_for_e(9000.0, None, 30.0, 0.0, 20.0),
         rtol=1e-12,
     ),
     Claim(

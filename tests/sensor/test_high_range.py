@@ -74,6 +74,19 @@ def centres_apart_ms(ratio: float) -> float:
     return second - first
 
 
+def burst_residuals(kind: str, level_e: float) -> list[float]:
+    """What flat frames leave in a burst of four exposures, over what they leave in one of them."""
+    patterns = {"prnu": 0.01, "dsnu": 0.3, "offset_fpn": 0.001, "column_fpn": 0.0003}
+    readout = Readout.of(derive(pixel(KINDS[kind][0], **patterns, **DARK)))
+    burst, one = (
+        residual_variance_e2(
+            count * level_e, count * TIME_S, readout.burst(count), Correction(flat_frames=8)
+        )
+        for count in (4, 1)
+    )
+    return [burst.temporal / one.temporal, burst.offsets / one.offsets, burst.flat / one.flat]
+
+
 BEST = "max_likelihood"
 LIMITED = {
     "collector": [{"name": "a"}],
@@ -192,6 +205,21 @@ NUMBERS = [
         lambda: 1e3 * largest_bias(pixel(split_of_three(validity_sigmas=6)), (2.1e4, 2.3e4)),
         -2.69,  # -w φ(0)/SNR
         2,
+    ),
+    # Noise of four exposures adds up by squares, their patterns add up.
+    *(
+        (
+            f"flat frames of a burst of {kind}",
+            lambda kind=kind, level_e=level_e: burst_residuals(kind, level_e),
+            [4, 16, 4],
+            9,
+        )
+        for kind, level_e in (
+            ("dual_gain", 5330),
+            ("split", 21_950),
+            ("staggered", 21_900),
+            ("three", 5300),
+        )
     ),
 ]
 

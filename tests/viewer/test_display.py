@@ -87,7 +87,14 @@ NEAREST = Display(dots=128, interpolation="nearest")
 PIXEL_DOTS = Display(raster="one_to_one")
 HALF_UM = DIE_UM / 2, DIE_UM
 NOISE = 1000 + 50 * np.random.default_rng(4).standard_normal((256, 256))
+# Least light of each code of 8 bits, by the gamma of 2.2.
+BORDERS = ((np.arange(255) + 0.5) / 255) ** 2.2
 CLAIMS = [
+    Claim(
+        "bins of light without a border of codes have one code, the others are searched",
+        lambda: np.flatnonzero(np.isnan(displays._light_of_bins(2.2, 255, False))),
+        np.unique((BORDERS * (displays._light_of_bins(2.2, 255, False).size - 1)).astype(int)),
+    ),
     Claim(
         "white of the display replaces that of the scene",
         lambda: ideal_on_dots(light(np.ones((64, 64))), Display(dots=128, white_cd_per_m2=500)),

@@ -36,7 +36,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.adaptation import RESPONSES
-from pixsim.viewer.chain import ImagingChain
+from pixsim.viewer.chain import ExpectedFrame, ImagingChain
 from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
@@ -44,6 +44,7 @@ from pixsim.viewer.metrics import MetricRequest, NoNumberError
 from pixsim.viewer.raw_metrics import (
     MAX_D_PRIME,
     _check_rounding,
+    _ClippedExposure,
     _d_prime,
     _mtf_along,
     bottom_table,
@@ -155,6 +156,41 @@ def niirs_from(**options: float) -> float:
     return evaluated(UNIFORM, "niirs", metric=MetricOptions(niirs=options))["niirs"]
 
 
+SMALL_WELL = {"full_well_e": 2000.0, "read_noise_e": 3.0}
+ADC_AT_END_E_PER_DN = 2000.0 / (2**12 - 1 - 64)
+ENDS: dict[str, dict] = {
+    "well": {"gain_e_per_dn": 1.3 * ADC_AT_END_E_PER_DN},
+    "ADC": {"gain_e_per_dn": ADC_AT_END_E_PER_DN, "full_well_e": 4000.0},
+    "well and ADC": {},
+}
+NEAR_0 = {"black_level_dn": 0.0, "prnu": 0.02, "offset_fpn": 2e-4}
+
+
+def burst_frame() -> ExpectedFrame:
+    chain = chain_of(pixel=PIXEL.model_copy(update=NEAR_0))
+    return replace(chain, readout=chain.readout.burst(4)).expected(TIME_S)
+
+
+def slope_ratios(fields: dict) -> list[np.ndarray]:
+    """Return slopes for the signal, and for an offset of codes, over quotients of the mean code at
+    the same noise, below a well of 2000 e- and above it.
+    """
+    charge_e = np.array([1900.0, 2000.0, 2050.0])
+    pixel = PIXEL.model_copy(update=SMALL_WELL | fields)
+
+    def moments(signal_e: float = 0.0, offset_e: float = 0.0) -> tuple[np.ndarray, ...]:
+        exposure = _ClippedExposure(chain_of(pixel=pixel).readout, TIME_S)
+        exposure.black_e += offset_e
+        exposure.top_e -= offset_e
+        mean_dn, *others = exposure._moments_of_well(charge_e + signal_e, np.sqrt(charge_e))
+        return mean_dn / exposure.readout.dn_per_e, *others
+
+    _, _, signal_slope, offset_slope = moments()
+    by_signal = (moments(0.1)[0] - moments(-0.1)[0]) / 0.2
+    by_offset = (moments(0.0, 0.1)[0] - moments(0.0, -0.1)[0]) / 0.2
+    return [signal_slope / by_signal, offset_slope / by_offset]
+
+
 CLAIMS = [
     *(
         Claim(
@@ -238,6 +274,24 @@ CLAIMS = [
         ),
         2 * (4095 - 64) - 1e4 * TIME_S,
         rtol=1e-12,
+    ),
+    *(
+        Claim(
+            f"slopes of codes at a well are those of their mean, {fields}",
+            lambda fields=fields: slope_ratios(fields),
+            np.ones((2, 3)),
+            rtol=2e-3,
+            why="differences of 0.1 e-",
+        )
+        for fields in (ENDS["well"], {}, {"bits": 8})
+    ),
+    Claim(
+        "tables of a burst hold from their first signal, or up to their last",
+        lambda: [
+            top_table(burst_frame(), 8e4).low_e / top_table(burst_frame(), 8e4).signal_e[0],
+            bottom_table(burst_frame(), 0.0).high_e / bottom_table(burst_frame(), 0.0).signal_e[-1],
+        ],
+        [1.0, 1.0],
     ),
     Claim(
         "codes far from both ends have no table",
@@ -351,14 +405,6 @@ def test_blurred_target_of_a_stated_contrast_is_no_darker_than_black(
 # --- codes at both ends
 
 
-SMALL_WELL = {"full_well_e": 2000.0, "read_noise_e": 3.0}
-ADC_AT_END_E_PER_DN = 2000.0 / (2**12 - 1 - 64)
-ENDS: dict[str, dict] = {
-    "well": {"gain_e_per_dn": 1.3 * ADC_AT_END_E_PER_DN},
-    "ADC": {"gain_e_per_dn": ADC_AT_END_E_PER_DN, "full_well_e": 4000.0},
-    "well and ADC": {},
-}
-NEAR_0 = {"black_level_dn": 0.0, "prnu": 0.02, "offset_fpn": 2e-4}
 SOFT_WELL = {
     "technology": "0.35um",
     "well_limit": "diode",
