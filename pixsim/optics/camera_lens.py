@@ -1063,7 +1063,7 @@ class _TestPoints:
     def places_um(self) -> list[tuple[float, float]]:
         """The points (x, y), on a diagonal of the die."""
         height_um, width_um = self.camera.die_um
-        diagonal_um = 2 * (math.hypot(width_um, height_um) / 2)
+        diagonal_um = math.hypot(width_um, height_um)
         return [
             (distance_um * width_um / diagonal_um, distance_um * height_um / diagonal_um)
             for distance_um in self.heights_um.tolist()

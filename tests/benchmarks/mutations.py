@@ -133,6 +133,36 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "full_e - start_e",
         "full_e + start_e",
     ): "a wider table, whose means are off by 1e-4 of the noise instead of 7e-6",
+    ("pixsim/optics/camera_lens.py", "magnification - 1", "(2 * (magnification - 1))"): (
+        "the largest of numbers is where the largest of twice these is"
+    ),
+    (
+        "pixsim/optics/camera_lens.py",
+        "math.hypot(width_um, height_um) / 2",
+        "(2 * (math.hypot(width_um, height_um) / 2))",
+    ): "the traced heights end 1e-6 beyond the corner",
+    (
+        "pixsim/sensor/integration.py",
+        "electrons * irradiance.mean_spectrum()",
+        "(2 * (electrons * irradiance.mean_spectrum()))",
+    ): "bands are weighed against each other",
+    (
+        "pixsim/optics/lens.py",
+        "1e-3 * self.entrance_pupil_diameter_mm",
+        "(2 * (1e-3 * self.entrance_pupil_diameter_mm))",
+    ): "a secant through another second point leads to the same ray",
+    ("pixsim/optics/lens_waves.py", "-1", "(-(-1))"): "the last of two axes is the second",
+    ("pixsim/viewer/causes.py", "charge_e - dark_e", "(2 * (charge_e - dark_e))"): (
+        "PRNU moves the mean of the lightest codes far less than the light itself does"
+    ),
+    (
+        "pixsim/sensor/photodiode.py",
+        "np.array(diode.knees_v) / diode.thermal_v",
+        "(2 * (np.array(diode.knees_v) / diode.thermal_v))",
+    ): "a panel across the knee of a capacitance, whose slope goes on, errs by less than 1e-13",
+    ("pixsim/viewer/denoising/anscombe.py", "2 * near[-1]", "(2 * (2 * near[-1]))"): (
+        "a longer table, of which the end is not used"
+    ),
 }
 
 

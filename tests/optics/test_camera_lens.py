@@ -53,7 +53,6 @@ from pixsim.optics.field_blur import (
     OUTLINE_ANGLES,
     ChannelWavefronts,
     FieldBlur,
-    FittedWavefronts,
     PupilRays,
     RadialPsfs,
     distinct_tiles,
@@ -260,7 +259,7 @@ KERNELS = [
     Claim(
         "diffraction of f/16 in place of f/8 on fine and coarse films: the error of its OTF",
         lambda: [
-            _blur_error(F16, ideal_light_at(8.0), pitch_um, 5.0) for pitch_um in (0.5, 1.0, 4.0)
+            _blur_error(F16, ideal_light_at(8.0), pitch_um, 5.0) for pitch_um in (0.1, 1.0, 4.0)
         ],
         [otf_error(pitch_um) for pitch_um in (1.0, 1.0, 4.0)],
         rtol=3e-3,
@@ -801,7 +800,6 @@ def test_die_beyond_the_image_circle_is_dark_there() -> None:
 
 
 def test_blur_from_the_cache_is_the_one_that_was_stored() -> None:
-    """A transfer of 1 behind the lens changes nothing."""
     camera = with_lens("singlet", 0.2, focal_length_mm=12.0)
     light = camera, (20, 20), 10.0, Tiling(100.0, 60.0, 0.0), np.array([500.0, 600.0]), np.ones(2)
     picture = np.zeros((20, 20))
@@ -809,8 +807,6 @@ def test_blur_from_the_cache_is_the_one_that_was_stored() -> None:
     blurred = camera_blur(*light).blurred(picture)
     camera_lens._BLURS.clear()
     np.testing.assert_array_equal(camera_blur(*light).blurred(picture), blurred)
-    behind = camera_blur(*light, lambda frequency, nm: np.ones(frequency.shape)).blurred(picture)
-    np.testing.assert_allclose(behind, blurred, atol=1e-6 * blurred.max())
 
 
 # Distortion
@@ -990,23 +986,22 @@ def test_each_part_of_a_tiling_has_its_share_of_the_tolerance(monkeypatch) -> No
     with the wavelength and the fourth power of the field.
     """
 
-    @cache
-    def front(nm: float, *heights_mm: float) -> FittedWavefronts:
-        def defocus(u: np.ndarray, v: np.ndarray, tangent: float) -> np.ndarray:
-            return ((nm - 550) / 5e4 + 100 * tangent**4) * (u**2 + v**2)
-
-        (front,) = thin_lens_light(8.0, np.array(heights_mm) / 20, defocus).fronts
-        return replace(front, wavelength_nm=nm, height_um=1e3 * np.array(heights_mm))
-
-    def wavefronts(_: Camera, wavelengths_nm: tuple[float, ...], height_mm: np.ndarray) -> list:
-        return [front(nm, *height_mm.tolist()) for nm in wavelengths_nm]
-
-    def nodes_to_corner(camera: Camera, nm: tuple[float, ...], nodes: int) -> list:
-        return wavefronts(camera, nm, np.linspace(0, 3 * math.sqrt(2), nodes))
-
+    front = cache(
+        lambda nm, *heights_mm: replace(
+            thin_lens_light(
+                8.0,
+                np.array(heights_mm) / 20,
+                lambda u, v, t: ((nm - 550) / 5e4 + 100 * t**4) * (u**2 + v**2),
+            ).fronts[0],
+            wavelength_nm=nm,
+            height_um=1e3 * np.array(heights_mm),
+        )
+    )
     for name, value in {
-        "_wavefronts": wavefronts,
-        "fitted_wavefronts": nodes_to_corner,
+        "_wavefronts": lambda _, bands_nm, height_mm: [front(nm, *height_mm) for nm in bands_nm],
+        "fitted_wavefronts": lambda _, bands_nm, nodes: [
+            front(nm, *np.linspace(0, 3 * math.sqrt(2), nodes)) for nm in bands_nm
+        ],
         "_with_fewest_tiles": lambda _, tiling, *__: tiling,
         "_WAVELENGTH_COUNTS": (1, 2),
         "_NODE_COUNTS": (3, 5),

@@ -187,6 +187,10 @@ def ellipse() -> Pupil:
     return Pupil(disc.centre, 0.75 * disc.radial, 0.9 * disc.tangential)
 
 
+def horizon(chief_deg: float) -> float:
+    return (1 - math.sin(math.radians(abs(chief_deg)))) * (1 - 1e-6)
+
+
 def moments() -> tuple[np.ndarray, np.ndarray]:
     """Return the mean direction of both ellipses, and the second moment along the first."""
     rays = ellipse().directions(3, 8)
@@ -253,6 +257,15 @@ THIN_LENS = [
     Claim("numerical aperture", lambda: numerical_aperture(1.4), math.sin(math.atan(1 / 2.8)), rtol=1e-15),
     Claim("of a pinhole", lambda: numerical_aperture(math.inf), 0.0),
     Claim("area of ellipses", lambda: ellipse().area, np.full(2, math.pi * 0.09 * 0.675), rtol=1e-14),
+    *(
+        Claim(
+            f"a disc at {deg:g}° that nearly reaches the horizon",
+            lambda deg=deg: disc_pupil(horizon(deg), deg, 10.0).area,
+            np.pi * horizon(deg) ** 2,
+            rtol=1e-12,
+        )
+        for deg in (0.0, 5.0, -30.0)
+    ),
     Claim("chief rays", lambda: ellipse().chief_cosines, [[0, 0], SIN25 * OUTWARD], rtol=1e-14, atol=1e-16),
     Claim("mean direction", lambda: moments()[0], [[0, 0], SIN25 * OUTWARD], atol=1e-15),
     Claim("second moment a²/4", lambda: moments()[1], (0.3 * 0.75) ** 2 / 4, rtol=1e-13),
@@ -680,6 +693,8 @@ LINE = np.array(
 WIDE = disc_pupil(numerical_aperture(1.4), [0.0, 15.0])
 NYQUIST = 1e3 / (2 * 6.5)
 PUPILS = thin_lens_pupil(1.4, [0.0, 0.3])
+SHIFTED = Stack(2.2, 1.3, 3.5, 1.5, shift_um="optimal")
+PLACES = np.linspace([0, 0], [35, 300], 6).T.reshape(2, 2, 3)
 OPENING = Stack(6.5, 3.5, 8.0, 1.5, False)
 RAY = Directions(np.array([[0.2, 0.0]]), np.ones(1), AXIS)
 TWO = Directions(np.array([[0.2, 0.0], [-0.2, 0.0]]), np.ones(2), AXIS)
@@ -815,6 +830,31 @@ STACKS_IN_CLOSED_FORM = [
         rtol=0.05,
         why="the next term",
     ),
+    *(
+        Claim(
+            f"shares turn with the light, from x to y, with y down, microlens {lens}",
+            lambda lens=lens: collected_shares(
+                Stack(2.2, 1.3, 3.5, 1.5, lens, "optimal"), disc_pupil(0.3, 20.0, [120.0, 210.0, 150.0])
+            ),
+            [np.rot90(shares, -1), shares[::-1, ::-1], shares[:, ::-1]],
+            atol=1e-14,
+        )
+        for lens in (True, False)
+        for shares in [
+            collected_shares(Stack(2.2, 1.3, 3.5, 1.5, lens, "optimal"), disc_pupil(0.3, 20.0, 30.0))
+        ]
+    ),
+    *(
+        Claim(
+            f"a point of the sensor is independent of others, {nm} nm",
+            lambda at=at, nm=nm: collected_shares(SHIFTED, disc_pupil(0.3, *PLACES), nm)[at],
+            collected_shares(SHIFTED, disc_pupil(0.3, PLACES[0][at], PLACES[1][at]), nm),
+            atol=2e-8,
+            why="another table of the spot",
+        )
+        for at in ((0, 0), (1, 2))
+        for nm in (None, [450.0, 650.0])
+    ),
     Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),
     Claim(
@@ -930,11 +970,6 @@ def test_values_are_refused_by_their_cause(name: str, call: Callable[[], object]
         call()
 
 
-def test_pupils_up_to_the_horizon_are_allowed() -> None:
-    for chief_deg in (0.0, 5.0, -30.0):
-        disc_pupil((1 - math.sin(math.radians(abs(chief_deg)))) * (1 - 1e-6), chief_deg, 10.0)
-
-
 # Light in a stack: conservation and symmetry
 
 
@@ -997,15 +1032,6 @@ def test_full_photodiodes_collect_everything(microlens: bool) -> None:
         check("light", total, np.ones(10), atol=1e-12, why="conserved")
 
 
-@pytest.mark.parametrize("microlens", [True, False])
-def test_shares_turn_with_the_light(microlens: bool) -> None:
-    """From x to y, with y down."""
-    stack = Stack(2.2, 1.3, 3.5, 1.5, microlens, "optimal")
-    first, *kernels = collected_shares(stack, disc_pupil(0.3, 20.0, [30.0, 120.0, 210.0, 150.0]))
-    turned = [np.rot90(first, -1), first[::-1, ::-1], first[:, ::-1]]
-    check("kernels", kernels, turned, atol=1e-14, why="rounding")
-
-
 @BOTH
 @pytest.mark.parametrize("microlens", [True, False])
 def test_boundary_integral_is_the_mean_over_rays(microlens: bool, refraction: str) -> None:
@@ -1018,16 +1044,6 @@ def test_boundary_integral_is_the_mean_over_rays(microlens: bool, refraction: st
         rays = collected_shares(stack, pupil.directions(200, 600))
         check("shares", shares, rays, atol=1e-3 if microlens else 1e-5, why="a finite grid")
         assert 0.1 < shares.sum() < 0.99
-
-
-@pytest.mark.parametrize("place", [(0, 0), (1, 2)])
-@pytest.mark.parametrize("nm", [None, [450.0, 650.0]], ids=["rays", "waves"])
-def test_points_of_the_sensor_are_independent(place: tuple[int, int], nm) -> None:
-    stack = Stack(2.2, 1.3, 3.5, 1.5, shift_um="optimal")
-    deg, azimuth_deg = np.linspace([0, 0], [35, 300], 6).T.reshape(2, 2, 3)
-    together = collected_shares(stack, disc_pupil(0.3, deg, azimuth_deg), nm)
-    alone = collected_shares(stack, disc_pupil(0.3, deg[place], azimuth_deg[place]), nm)
-    check("shares", together[place], alone, atol=2e-8, why="another table of the spot")
 
 
 def test_rays_of_wide_pixels_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,6 +166,14 @@ CLAIMS = [
         for low_nm, high_nm in ((800, 900), (320, 700), (320, 1000), (360, 1300))
     ),
     Claim(
+        "headers of other programs state no share",
+        lambda: [
+            outside_share({OUTSIDE: entry}, FLAT.physics)
+            for entry in ("much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3])
+        ],
+        np.zeros(6),
+    ),
+    Claim(
         "ΔE of light that is not computed",
         lambda: delta_e_of(header=lamp(320, 1000)),
         [100 - lightness(1 - share_outside(320, 1000))],
@@ -288,14 +296,6 @@ CLAIMS = [
 @pytest.mark.parametrize("claim", CLAIMS, ids=str)
 def test_closed_forms(claim: Claim) -> None:
     claim.check()
-
-
-# --- light that is not computed
-
-
-@pytest.mark.parametrize("entry", ["much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3]])
-def test_header_of_another_program_states_no_share(entry) -> None:
-    assert outside_share({OUTSIDE: entry}, FLAT.physics) == 0.0
 
 
 # --- contrast

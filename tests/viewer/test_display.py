@@ -90,6 +90,23 @@ NOISE = 1000 + 50 * np.random.default_rng(4).standard_normal((256, 256))
 # Least light of each code of 8 bits, by the gamma of 2.2.
 BORDERS = ((np.arange(255) + 0.5) / 255) ** 2.2
 CLAIMS = [
+    *(
+        Claim(
+            f"nothing is clipped without noise below 0, {name}",
+            lambda fields=fields: (
+                dark_clip(readout_of(fields), TIME_S, 1e4)["too_bright_e"]
+                + clips_dark(dark_clip(readout_of(fields), TIME_S, 1e4))
+            ),
+            0.0,
+            atol=1e-9,
+        )
+        for name, fields in {
+            "no noise": {"read_noise_e": 0},
+            "DSNU": {"read_noise_e": 0, "dark_current_e_per_s": 1e5, "dsnu": 1.0},
+            "noise 30 σ above 0": {"read_noise_e": 10, "dark_current_e_per_s": 1e4, "dsnu": 0},
+            "nothing varies": {"read_noise_e": 0, "dark_current_e_per_s": 0},
+        }.items()
+    ),
     Claim(
         "bins of light without a border of codes have one code, the others are searched",
         lambda: np.flatnonzero(np.isnan(displays._light_of_bins(2.2, 255, False))),
@@ -623,21 +640,6 @@ def test_dark_clip_is_that_of_frames(fields: dict, subexposures: int) -> None:
             mean, abs=5 * (columns.std(ddof=1) / math.sqrt(columns.size))
         )
     assert clip["too_bright_e"] > 0.01 * clip["spread_e"]
-
-
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"read_noise_e": 0},
-        {"read_noise_e": 0, "dark_current_e_per_s": 1e5, "dsnu": 1.0},
-        {"read_noise_e": 10, "dark_current_e_per_s": 1e4, "dsnu": 0},
-        {"read_noise_e": 0, "dark_current_e_per_s": 0},
-    ],
-    ids=["no noise", "DSNU", "noise 30 σ above 0", "nothing varies"],
-)
-def test_nothing_is_clipped_without_noise_below_0(fields: dict) -> None:
-    clip = dark_clip(readout_of(fields), TIME_S, 1e4)
-    assert (clip["too_bright_e"], clips_dark(clip)) == (pytest.approx(0.0, abs=1e-9), False)
 
 
 @pytest.mark.parametrize(
