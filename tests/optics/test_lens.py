@@ -99,6 +99,16 @@ def crossing_mm(lens: Lens) -> float:
     return (crossing - 150.0) * np.tan(normal - bent)
 
 
+def coddington_mm(field_deg: float) -> list[float]:
+    """Return both foci behind the plane of `BALL`: n cos²r/t = n/s = (n cos r - cos i)/R along a
+    refracted ray through its vertex.
+    """
+    sine, cosine = np.sin(np.radians(field_deg)), np.cos(np.radians(field_deg))
+    bent = np.sqrt(1 - (sine / 1.5) ** 2)
+    along_mm = 1.5 * 50.0 / (1.5 * bent - cosine)
+    return [along_mm * bent**3 - 150.0, along_mm * bent - 150.0]
+
+
 def thickness_mm(lens: Lens) -> float:
     return lens.prescription.surfaces[-1].thickness_mm
 
@@ -148,6 +158,13 @@ CLAIMS = [
             why="third-order aberrations at 1e-3 of the stop",
         )
         for distance in (np.inf, 1000.0)
+    ),
+    Claim(
+        "Coddington's equations of a sphere",
+        lambda: np.ravel(BALL.foci_mm([10.0, -25.0], 550.0), order="F"),
+        coddington_mm(10.0) + coddington_mm(25.0),
+        atol=1e-5,
+        why="third-order aberrations at 1e-3 of the stop",
     ),
     Claim(
         "Newton: x x' = f²",

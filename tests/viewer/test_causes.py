@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.chains import imaging, imaging_chain
+from helpers.chains import imaging, imaging_chain, scene_of
 from helpers.claims import Claim
 
 from pixsim import (
@@ -43,7 +43,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.spectral_range import OUTSIDE, outside_header, outside_share
 from pixsim.viewer.causes import causes_of, is_uninformative
-from pixsim.viewer.every_pixel import neighbours
+from pixsim.viewer.every_pixel import at_every_pixel, neighbours
 from pixsim.viewer.noise_budget import (
     APERTURE,
     BLUR,
@@ -143,6 +143,16 @@ def readout_of(**fields: float) -> Readout:
     return Readout.of(derive(Pixel(**QUIET | fields)))
 
 
+def ramp_on_sums_of_pixels(collection: Collection | None) -> np.ndarray:
+    """Return a ramp of light on sums of 2 × 2 pixels of 4 µm, away from the borders."""
+    colour = {"pattern": "quad_rggb", "binning": True, "quantum_efficiencies": FILTERS}
+    pixel = Pixel(technology="4t-bsi", pitch_um=4.0, colour=colour)
+    scene = scene_of(light(1.0), CAMERA, pixel, DISPLAY)
+    return at_every_pixel(2 * X[:64, :64] - Y[:64, :64], scene, derive(pixel), collection)[
+        2:-2, 2:-2
+    ]
+
+
 FULL_E = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
 LAMP = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
 BURST = FLAT.burst(8)
@@ -152,6 +162,8 @@ EIGHT_BITS = readout_of(bits=8)
 HIDDEN = replace(
     readout_of(full_well_e=65_535.0, bits=16, black_level_dn=30_000), read_noise_e=30_000.0
 )
+EVEN = np.multiply.outer([[[1.0, 2.0, 5.0, 2.0, 1.0]]], [0.0, 1.0, 4.0, 1.0, 0.0])
+MIDDLES = (np.arange(2, 38) + 0.5) * 8 / 5 - 0.5  # of sums, in cells of 5 µm
 CLAIMS = [
     *(
         Claim(
@@ -164,6 +176,18 @@ CLAIMS = [
             why="cells of the header",
         )
         for low_nm, high_nm in ((800, 900), (320, 700), (320, 1000), (360, 1300))
+    ),
+    *(
+        Claim(
+            f"sums of pixels have the light of their middle, {name}",
+            lambda collection=collection: ramp_on_sums_of_pixels(collection),
+            2 * MIDDLES - MIDDLES[:, None],
+            atol=1e-10,
+        )
+        for name, collection in (
+            ("without a stack", None),
+            ("with even shares of the light around", Collection(EVEN, 2 * EVEN.sum(), 3.0)),
+        )
     ),
     Claim(
         "headers of other programs state no share",

@@ -156,6 +156,22 @@ def niirs_from(**options: float) -> float:
     return evaluated(UNIFORM, "niirs", metric=MetricOptions(niirs=options))["niirs"]
 
 
+def table_of_two_exposures() -> list[float]:
+    """Mean and variance, less the shot noise of 1/16 of the light, at the start of a table; the
+    mean at its end.
+    """
+    fields = PIXEL.model_dump(exclude_unset=True)
+    pixel = Pixel(**fields, readout={"kind": "staggered", "ratio": 16.0})
+    table = top_table(chain_of(pixel=pixel).expected(TIME_S), 1e6)
+    fixed_e2 = table.variance_e2[0] - 16 * table.signal_e[0]
+    return [
+        table.low_e / table.signal_e[0],
+        table.mean_e[0] / table.low_e,
+        fixed_e2,
+        table.mean_e[-1],
+    ]
+
+
 SMALL_WELL = {"full_well_e": 2000.0, "read_noise_e": 3.0}
 ADC_AT_END_E_PER_DN = 2000.0 / (2**12 - 1 - 64)
 ENDS: dict[str, dict] = {
@@ -292,6 +308,13 @@ CLAIMS = [
             bottom_table(burst_frame(), 0.0).high_e / bottom_table(burst_frame(), 0.0).signal_e[-1],
         ],
         [1.0, 1.0],
+    ),
+    Claim(
+        "a table of the shorter of two exposures is in electrons of the longer, up to its well",
+        table_of_two_exposures,
+        [1.0, 1.0, 16**2 * (4.0**2 + (20_000 / (4095 - 64)) ** 2 / 12), 16 * 20_000],
+        rtol=1e-4,
+        why="the well and the top code cut off some of the noise at both ends",
     ),
     Claim(
         "codes far from both ends have no table",
