@@ -163,6 +163,24 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/viewer/denoising/anscombe.py", "2 * near[-1]", "(2 * (2 * near[-1]))"): (
         "a longer table, of which the end is not used"
     ),
+    ("pixsim/optics/lens.py", "_MAX_AIM_STEPS", "(_MAX_AIM_STEPS) + 1"): (
+        "one more step of a ray's aim, which has converged long before or does not"
+    ),
+    (
+        "pixsim/optics/field_blur.py",
+        "np.finfo(float).eps * columns.shape[1]",
+        "(2 * (np.finfo(float).eps * columns.shape[1]))",
+    ): "a combination of other terms leaves less than half of it, any other term far more",
+    (
+        "pixsim/optics/field_blur.py",
+        "math.ceil(band_corner) + _SPLINE_COEFFICIENTS // 2",
+        "math.ceil(band_corner) - _SPLINE_COEFFICIENTS // 2",
+    ): "at the corner of a film's band its weight falls to 0 both ways: 1e-7 of a PSF's peak",
+    (
+        "pixsim/sensor/mismatch.py",
+        "self.hot_median * np.exp(self.hot_spread * normal)",
+        "self.hot_median / np.exp(self.hot_spread * normal)",
+    ): "the logarithms of hot pixels are as often below their median as above it",
 }
 
 
