@@ -528,10 +528,10 @@ class Renderer:
                 (*self.rendered_size, len(light.fit.pulses)), np.float32
             )
             for rows, pulses, trace in traces.rows:
-                total = np.zeros(())
+                total = np.zeros(planes[rows, :, pulses].shape)
                 for _ in range(traces.renders):
                     picture = _checked(trace((first_seed + number) % 2**32))
-                    total = total + picture / traces.renders
+                    total += picture / traces.renders
                     number += 1
                     if progress:
                         progress(number / count)
