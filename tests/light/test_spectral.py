@@ -71,7 +71,29 @@ def merged_bands() -> SpectralImage:
     )
 
 
+FOUR_NM = np.linspace(420.0, 680.0, 4)
+LAMP = {spectral.LAMP: [1.0, 2.0, 3.0, 4.0]}
 CLAIMS = [
+    *(
+        Claim(
+            f"white is the spectrum of {name}",
+            lambda header=header: (
+                SpectralImage(
+                    FOUR_NM, 10.0, 2.0, factors=(FOUR_NM, np.ones((1, 2, 2))), header=header
+                ).white_spectrum
+            ),
+            white,
+        )
+        for name, header, white in (
+            ("the only factor", {}, FOUR_NM),
+            ("the lamps", LAMP, [1, 2, 3, 4]),
+            (
+                "the plate",
+                LAMP | {spectral.DIFFUSER: {spectral.DIFFUSER_W: [4.0, 3.0, 2.0, 1.0]}},
+                [4, 3, 2, 1],
+            ),
+        )
+    ),
     Claim(
         "photons a joule by the SI",
         lambda: spectral.photons_per_joule([400.0, 800.0]),
@@ -249,7 +271,6 @@ def test_closed_forms(claim: Claim) -> None:
 # Images
 
 SPECTRA = Path(__file__).parents[2] / "scenes" / "spectra" / "macbeth"
-FOUR_NM = np.linspace(420.0, 680.0, 4)
 
 
 def factored(seed: int, shape: tuple[int, int] = (6, 9), margin: int = 0) -> SpectralImage:
@@ -390,22 +411,6 @@ def test_patches_are_those_of_the_scene() -> None:
     files = [np.loadtxt(path).T for path in sorted(SPECTRA.glob("*.spd"))]
     wanted = np.array([np.interp(NM, *file) for file in files])
     check("patches", patch_reflectance(NM), wanted, atol=1e-12, why="rounding")
-
-
-LAMP = {spectral.LAMP: [1.0, 2.0, 3.0, 4.0]}
-
-
-@pytest.mark.parametrize(
-    ("header", "white"),
-    [
-        ({}, FOUR_NM),
-        (LAMP, [1, 2, 3, 4]),
-        (LAMP | {spectral.DIFFUSER: {spectral.DIFFUSER_W: [4.0, 3.0, 2.0, 1.0]}}, [4, 3, 2, 1]),
-    ],
-)
-def test_white_is_the_plate_then_the_lamps_then_the_shared_spectrum(header, white) -> None:
-    image = SpectralImage(FOUR_NM, 10.0, 2.0, factors=(FOUR_NM, np.ones((1, 2, 2))), header=header)
-    check("white", image.white_spectrum, np.array(white), why="the same numbers")
 
 
 # Pictures in a file

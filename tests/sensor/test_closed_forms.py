@@ -358,13 +358,14 @@ SHEET_WITHOUT_WELL = {
 def capacity_again_e(**fields) -> float:
     """Saturation capacity of a pixel's well, ADC and noise, which were solved for a stated one."""
     reading = Readout.of(derive(Pixel(**fields)))
-    pixel = reading.physics
     return saturation_capacity_e(
         reading.full_well_e,
         reading.adc_range_e if "gain_e_per_dn" in fields else None,
-        math.hypot(pixel.reset_noise_e, reading.read_noise_e),
-        pixel.prnu,
-        math.hypot(pixel.offset_fpn_e, pixel.number("column_fpn") * reading.full_well_e),
+        math.hypot(reading.physics.reset_noise_e, reading.read_noise_e),
+        reading.prnu,
+        math.hypot(
+            reading.physics.offset_fpn_e, reading.physics.number("column_fpn") * reading.full_well_e
+        ),
     )
 
 

@@ -184,17 +184,6 @@ STARS[7, 5] = 1e6
 STARS[12:20, 11] = 1e-9
 
 
-@pytest.mark.parametrize(
-    ("n", "degree"), [(1, 1), (2, 1), (3, 3), (4, 3), (5, 5), (6, 5), (301, 5)]
-)
-def test_spline_is_that_of_scipy(n: int, degree: int) -> None:
-    samples = smooth((n, 3))
-    ends = np.sort(seeded(2).uniform(0, n, 50))
-    integrals = integrate_axis(samples, 1.0, ends[:25], ends[25:], 0)
-    expected = spline_of(samples, degree)(ends[25:]) - spline_of(samples, degree)(ends[:25])
-    np.testing.assert_allclose(integrals, expected, rtol=0, atol=4e-15 * n)
-
-
 @pytest.mark.parametrize("samples", [SMOOTH, STARS, SMOOTH.astype(np.float32)])
 @pytest.mark.parametrize(("pitch_um", "side_um"), [(0.7, 0.5), (3.1, 3.1)])
 def test_strips_and_stored_integrals_change_nothing(
@@ -391,7 +380,18 @@ SAMPLES = SpectralImage(
     data=seeded(0).uniform(0.5, 1.5, (4, 4, 30)).astype(np.float32),
 )
 WEIGHT = integration.electrons_per_joule(derive(Pixel(pitch_um=20.0)), SAMPLES) * 1e-12
+ENDS = np.sort(seeded(2).uniform(0, 1, 50))
 BANDS = [
+    *(
+        Claim(
+            f"the spline of {n} samples is SciPy's",
+            lambda n=n: integrate_axis(smooth((n, 3)), 1.0, n * ENDS[:25], n * ENDS[25:], 0),
+            spline_of(smooth((n, 3)), degree)(n * ENDS[25:])
+            - spline_of(smooth((n, 3)), degree)(n * ENDS[:25]),
+            atol=4e-15 * n,
+        )
+        for n, degree in ((1, 1), (2, 1), (3, 3), (4, 3), (5, 5), (6, 5), (301, 5))
+    ),
     *(
         Claim(
             f"a laser at {nm:g} nm, beside the centre of its band, {technology}",

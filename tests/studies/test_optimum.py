@@ -76,6 +76,11 @@ def fitted(
     return fit_curve(pitch_um, sensors_of(mean, 3, noise, seed))
 
 
+def width_um(pitch_um: Array) -> Array:
+    """Of the photodiodes of 0.35 µm, which vanish at 5.13 µm."""
+    return np.sqrt(0.826 * (np.asarray(pitch_um) ** 2 - 5.13**2))
+
+
 # --- closed forms
 
 
@@ -161,6 +166,33 @@ CLAIMS = [
         VERTICES,
         rtol=1e-12,
     ),
+    Claim(
+        "the fit of a power of e, whose logarithm is a parabola, over it",
+        lambda: np.abs(
+            (fit := fitted(LEAST * np.exp(6 * np.log(PITCH_UM / BEST_UM) ** 2))).delta_e
+            / (LEAST * np.exp(6 * np.log(fit.pitch_um / BEST_UM) ** 2))
+            - 1
+        ).max(),
+        0.0,
+        atol=1e-5,
+        why="a term of the regression",
+    ),
+    Claim(
+        "places are logarithms of photodiode widths",
+        lambda: fit_curve(PITCH_UM, sensors_of(parabola(PITCH_UM)), width_um).places_of(PITCH_UM),
+        np.log(width_um(PITCH_UM) / width_um(PITCH_UM[0])),
+        rtol=1e-12,
+        atol=1e-15,
+    ),
+    Claim(
+        "and give the pitches again",
+        lambda: (fit := fit_curve(PITCH_UM, sensors_of(parabola(PITCH_UM)), width_um)).pitches_at(
+            fit.places_of(PITCH_UM)
+        ),
+        PITCH_UM,
+        rtol=5e-4,
+        why="straight between 801 pitches, which bends by 0.05 % at the smallest ones",
+    ),
     Claim("a line is least at an end", lambda: minima(PLACES, np.array([PLACES, -PLACES])), [0, 1]),
 ]
 
@@ -207,13 +239,6 @@ def test_fit_curve_of_parabola(pitches: int, bend: float, half: float) -> None:
     reach = np.sqrt(LEAST * 0.01 / bend)
     ends = np.log(np.array(optimum.within_1_percent_um) / BEST_UM)
     np.testing.assert_allclose(ends, [-reach + 7e-4, reach - 7e-4], atol=7e-4)
-
-
-def test_fit_curve_of_a_power_of_e() -> None:
-    """The logarithm of 0.5 exp(6 x²) is a parabola, which the regression has as a term."""
-    fit = fitted(LEAST * np.exp(6 * np.log(PITCH_UM / BEST_UM) ** 2))
-    expected = LEAST * np.exp(6 * np.log(fit.pitch_um / BEST_UM) ** 2)
-    np.testing.assert_allclose(fit.delta_e, expected, rtol=1e-5)
 
 
 def test_fit_curve_with_a_flank_beside_the_best_size_leaves_a_corner_open() -> None:
@@ -290,15 +315,6 @@ def test_fit_curve_ignores_missing_sensors() -> None:
     assert fit.likeliest.design.sensors.tolist() == [8] * 5 + [2] + [8] * 10
     wider = np.hstack([delta_e, np.full((PITCH_UM.size, 3), np.nan)])[:, ::-1]
     np.testing.assert_allclose(fit_curve(PITCH_UM, wider).delta_e, fit.delta_e, rtol=1e-12)
-
-
-def test_places_are_logarithms_of_photodiode_widths() -> None:
-    fit = fit_curve(PITCH_UM, sensors_of(parabola(PITCH_UM)), width_um)
-    places = fit.places_of(PITCH_UM)
-    expected = np.log(width_um(PITCH_UM) / width_um(PITCH_UM[:1]))
-    np.testing.assert_allclose(places, expected, rtol=1e-12)
-    # Straight between 801 pitches; at the smallest ones the place bends by 0.05 % of a pitch.
-    np.testing.assert_allclose(fit.pitches_at(places), PITCH_UM, rtol=5e-4)
 
 
 PRINT_FIT = """
@@ -538,11 +554,6 @@ def fit() -> FittedCurve:
 # --- an open end
 
 END_BEST_UM = 5.4
-
-
-def width_um(pitch_um: Array) -> Array:
-    """Of the photodiodes of 0.35 µm, which vanish at 5.13 µm."""
-    return np.sqrt(0.826 * (np.asarray(pitch_um) ** 2 - 5.13**2))
 
 
 def beside_an_end(seed: int) -> SimulatedStudy:

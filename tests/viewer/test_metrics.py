@@ -202,9 +202,10 @@ def slope_ratios(fields: dict) -> list[np.ndarray]:
         return mean_dn / exposure.readout.dn_per_e, *others
 
     _, _, signal_slope, offset_slope = moments()
-    by_signal = (moments(0.1)[0] - moments(-0.1)[0]) / 0.2
-    by_offset = (moments(0.0, 0.1)[0] - moments(0.0, -0.1)[0]) / 0.2
-    return [signal_slope / by_signal, offset_slope / by_offset]
+    return [
+        signal_slope / (moments(0.1)[0] - moments(-0.1)[0]) * 0.2,
+        offset_slope / (moments(0.0, 0.1)[0] - moments(0.0, -0.1)[0]) * 0.2,
+    ]
 
 
 CLAIMS = [
