@@ -71,7 +71,8 @@ _TURNED_MARGIN = 48
 _PADDING = 1.5
 _SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
-_POINTS_PER_CALL = 8  # so that calls of NumPy are long enough for threads
+# So that calls of NumPy are long enough for threads, and their tables fit into the L2 cache
+_POINTS_PER_CALL = 4
 _SPREAD_CELLS = 1 << 23  # of spread light that is held at once for a thread, 32 MiB
 
 _GAUSS_NODES = 8  # in an interval of 1, in which J₀ turns by a sixth of a period
@@ -793,15 +794,17 @@ class RadialPsfs:
         column = np.abs(radial) * self.period_um
         needed = math.ceil(max(row.max(), column.max())) + _SPLINE_COEFFICIENTS
         side = min(self.last_frequency + 2, needed)
-        tables = np.array([self._table(math.hypot(*place_um), side) for place_um in places_um])
+        tables = np.zeros((len(places_um), side, side), np.complex64)
+        for table, place_um in zip(tables, places_um, strict=True):
+            self._interpolate(math.hypot(*place_um), table)
         spectra = np.asarray(_spline_values(tables, row, column), complex)
         np.conjugate(spectra, out=spectra, where=radial < 0)
         if self.pitch_um == 0.0:  # the tables hold all that the lens passes
             spectra[(row > self.last_frequency) | (column > self.last_frequency)] = 0.0
         return spectra
 
-    def _table(self, height_um: float, side: int) -> NDArray[np.complex64]:
-        """Return the first coefficients (side, side) for a distance from the axis."""
+    def _interpolate(self, height_um: float, table: NDArray[np.complex64]) -> None:
+        """Add the first coefficients for a distance from the axis to a table (side, side)."""
         if not height_um <= self.max_height_um * (1 + _ROUNDING):
             raise invalid(
                 "distance of a PSF from the axis",
@@ -810,15 +813,13 @@ class RadialPsfs:
             )
         position = height_um / self.step_um
         first = min(math.floor(position), self.point_count - 3) - 1
-        table = np.zeros((side, side), np.complex64)
-        weighted = np.zeros_like(table)
+        weighted = np.empty_like(table)
         for point in range(first, first + 4):
-            spline = self.spline(abs(point))[:side, :side]
+            spline = self.spline(abs(point))[: len(table), : len(table)]
             if point < 0:  # the opposite point has the PSF turned by 180°
                 spline = spline.conj()
             weight = np.float32(_cubic_weights(position - point))
             table += np.multiply(spline, weight, out=weighted)
-        return table
 
     def blurred(
         self, films: Sequence[tuple[Array, float]], x_um: float, y_um: float
@@ -858,24 +859,30 @@ def _spline_values(
 
     top = row.astype(np.intp)
     left = column.astype(np.intp)
-    row_weights = _b_spline_weights((row % 1).astype(np.float32))
-    column_weights = _b_spline_weights((column % 1).astype(np.float32))
+    row_weights = _b_spline_weights((row - top).astype(np.float32))
+    column_weights = _b_spline_weights((column - left).astype(np.float32))
     columns = [
         table_start + np.minimum(left + step, width - 1) for step in range(_SPLINE_COEFFICIENTS)
     ]
 
     total = np.zeros(row.shape, np.complex64)
+    along_row = np.empty_like(total)
+    values = np.empty_like(total)
+    place = np.empty_like(top)
     for step, row_weight in enumerate(row_weights):
         row_start = np.minimum(top + step, height - 1) * width
-        along_row = flat[row_start + columns[0]] * column_weights[0]
-        for offset, column_weight in zip(columns[1:], column_weights[1:], strict=True):
-            along_row += flat[row_start + offset] * column_weight
-        total += along_row * row_weight
+        along_row[...] = 0
+        for offset, column_weight in zip(columns, column_weights, strict=True):
+            np.add(row_start, offset, out=place)
+            flat.take(place, out=values, mode="clip")  # without a copy of `values`
+            along_row += np.multiply(values, column_weight, out=values)
+        total += np.multiply(along_row, row_weight, out=along_row)
     return total
 
 
-def _b_spline_weights(fraction: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the weights of the four coefficients around a place in a cubic spline, (4, ...).
+def _b_spline_weights(fraction: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """Return the weights of the four coefficients around a place in a cubic spline, (4, ...), as
+    complex numbers, which need no conversion in products with these.
 
     fraction : of the step from the second to the third of them, 0 to 1
     """
@@ -886,7 +893,7 @@ def _b_spline_weights(fraction: NDArray[np.float32]) -> NDArray[np.float32]:
         4 - 3 * remainder**2 * (2 - remainder),
         fraction**3,
     ]
-    return np.asarray(weights, np.float32) / np.float32(6)
+    return (np.asarray(weights, np.float32) / np.float32(6)).astype(np.complex64)
 
 
 def _turned_window_cells(cells: int) -> int:
@@ -927,7 +934,8 @@ def radial_psfs(
         otf = rfft(_zero_padded(rows.T, padded), axis=0)[: last + 1].T
         if index == 0:  # a point on the axis is its own opposite
             otf = otf.real + np.zeros_like(otf)
-        return np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
+        coefficients = np.block([[otf[1, 1].conj(), otf[1]], [otf[:, 1:2].conj(), otf]])
+        return np.ascontiguousarray(coefficients)  # row by row, as they are added up
 
     return RadialPsfs(
         step_um=step_um,
