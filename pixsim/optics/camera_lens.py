@@ -11,6 +11,7 @@ wavelength arrive. Lateral colour is part of the blur.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -26,6 +27,7 @@ from pixsim.base.arrays import MIN_THREADED_NUMBERS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.hashes import content_hash
 from pixsim.base.notes import Note, warn
+from pixsim.base.toml import packaged_tables
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.diffraction import white_otf
@@ -93,6 +95,7 @@ _COARSE_WINDOW = 32
 # Shares of the tolerance: for wavelengths and for nodes each, and for the tails of PSFs.
 _LIGHT_SHARE = 0.2
 _CUT_SHARE = 0.4
+_KEY_DIGITS = 9  # of numbers on which a shipped tiling depends
 # Of the rms of a blurred picture about its mean.
 _USUAL_TOLERANCE = 0.01
 
@@ -1007,23 +1010,21 @@ def choose_tiling(
 ) -> Tiling:
     """Return the tiling of least work within the tolerance, or the finest tiling if none is.
 
+    Those of the packaged lenses on the default sensor are shipped, since the search takes a fifth
+    of the time of a first picture.
+
     shape, pitch_um : (H, W) and cells of the film
     wavelength_nm, weight : (B,), of the light
     aperture_um : side of the squares that average the picture: a photodiode, or a dot
     tolerance : of the rms of a blurred picture about its mean
     """
-    key = content_hash(
-        [
-            camera.without_veil.model_dump(mode="json"),
-            shape,
-            pitch_um,
-            wavelength_nm,
-            weight,
-            aperture_um,
-            tolerance,
-            cache.version_fingerprint(),
-        ]
-    )
+    asked = (camera, shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance)
+    shipped = packaged_tables("lens_tilings").get(tiling_key(*asked))
+    if shipped is not None:
+        return Tiling(**shipped)
+
+    camera_content = camera.without_veil.model_dump(mode="json")
+    key = content_hash([camera_content, *asked[1:], cache.version_fingerprint()])
     points = _TestPoints(
         camera, shape, pitch_um, np.array(wavelength_nm), np.array(weight), aperture_um
     )
@@ -1034,6 +1035,20 @@ def choose_tiling(
         lambda: _chosen_tiling(points, tolerance),
         asdict,
     )
+
+
+def tiling_key(camera: Camera, *asked: object) -> str:
+    """Return the name under which the tiling of a packaged lens is shipped, from the arguments of
+    `choose_tiling`.
+
+    It is a hash of rounded numbers, since other processors compute other last digits.
+    """
+
+    def rounded(digits: str) -> float:
+        return float(f"{float(digits):.{_KEY_DIGITS}g}")
+
+    text = json.dumps([camera.without_veil.model_dump(mode="json"), *asked])
+    return content_hash(json.loads(text, parse_float=rounded))
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ picture, light from beyond it, depths in closed form, and what a user is told.
 import math
 import pickle
 import warnings
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,11 +15,21 @@ from helpers.edits import VARIANT, decision, lens_xml, scene_file, sensor_xml
 
 import pixsim
 from pixsim.base.arrays import Array
+from pixsim.base.toml import packaged_tables
 from pixsim.light.exr import read_channels, read_exr, write_channels, write_exr
 from pixsim.light.spectral import RINGS, SpectralImage, photons_per_joule
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera import Camera, CameraOptions
-from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens, without_lens
+from pixsim.optics.camera_lens import (
+    LENS_HEADER,
+    Tiling,
+    _chosen_tiling,
+    _TestPoints,
+    choose_tiling,
+    tiling_key,
+    traced_lens,
+    without_lens,
+)
 from pixsim.optics.lens_defocus import DEPTHS, depth_of_disc_m, finite_or_none, signed_disc_um
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.guard.child import ChildTracer
@@ -119,6 +130,24 @@ def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
     ]
     assert tilings[0] == tilings[1]
     assert 0 < tilings[0].cut_error <= tilings[0].error < 1
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        "double_gauss",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("cooke_triplet", "phone", "singlet")),
+    ],
+)
+def test_shipped_tiling_is_that_of_the_search(lens: str) -> None:
+    """`tests/benchmarks/lens_tilings.py` writes it again. Other processors round otherwise."""
+    scene = pixsim.load_scene("csf", variant=VARIANT)
+    with mock.patch("pixsim.scene.real_lens.choose_tiling", side_effect=choose_tiling) as chosen:
+        pixsim.make_plan(scene, scene.camera(None, LensOptions(file=lens)))
+    *film, nm, weight, aperture_um, tolerance = chosen.call_args.args
+    points = _TestPoints(*film, np.array(nm), np.array(weight), aperture_um)
+    shipped = packaged_tables("lens_tilings")[tiling_key(*chosen.call_args.args)]
+    assert asdict(_chosen_tiling(points, tolerance)) == pytest.approx(shipped, rel=1e-6)
 
 
 def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() -> None:
