@@ -26,8 +26,10 @@ from pixsim.optics.camera_lens import (
     Distortion,
     Tiling,
     _area_shares,
+    _binned_cells,
     _blur_error,
     _chosen_tiling,
+    _stated_tiling,
     _TestPoints,
     band_groups,
     camera_blur,
@@ -189,10 +191,11 @@ def otf_error(pitch_um: float) -> float:
 
 def is_usable(**fields: float) -> bool:
     """Return whether a tiling is accepted for a picture of 8 × 64 cells of 2 µm."""
-    header = {LENS_HEADER: {"spacing_um": 128.0, "psf_um": 8.0, "error": 0.0} | fields}
-    image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((8, 64, 1)), header=header)
+    image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((8, 64, 1)))
     try:
-        return camera_lens.image_tiling(image, GAUSS) is not None
+        return bool(
+            _stated_tiling({"spacing_um": 128.0, "psf_um": 8.0, "error": 0.0} | fields, image)
+        )
     except PixsimError:
         return False
 
@@ -264,6 +267,11 @@ KERNELS = [
         [otf_error(pitch_um) for pitch_um in (1.0, 1.0, 4.0)],
         rtol=3e-3,
         why="frequencies of another window",
+    ),
+    Claim(
+        "cells of errors are at most a quarter of the period of the cut-off",
+        lambda: [_binned_cells(ideal_light_at(8.0), pitch_um) for pitch_um in (0.1, 0.5, 2.0)],
+        np.maximum(1, np.floor(0.25 * 550e-3 * math.hypot(1, 16) / 2 / np.array([0.1, 0.5, 2.0]))),
     ),
     Claim(
         "tilings of a header are at most twice as fine as those that are chosen",

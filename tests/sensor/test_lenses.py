@@ -159,8 +159,7 @@ def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
 def test_light_that_the_glasses_are_not_known_for_is_noted() -> None:
     """A quarter of the light is beyond the 700 nm of the triplet's glasses."""
     camera, _, _ = triplet()
-    data = np.ones((33, 33, 2)) * [1.0, 3.0]
-    image = SpectralImage([550.0, 750.0], 10.0, 12.0, data=data)
+    image = SpectralImage([550.0, 750.0], 10.0, 12.0, data=np.tile([1.0, 3.0], (33, 33, 1)))
     with pytest.warns(UserWarning, match=r"25.0 % of the electrons .* outside 400 to 700 nm"):
         real_lens_rate(image, camera, Tiling(400.0, 60.0, 0.0), np.array([9.0, 1.0]), None)
 

@@ -32,7 +32,6 @@ from pixsim.studies.claims import (
     FIGURE_2_INTEGRATION_S,
     Evidence,
     Finding,
-    Interval,
     by_frequency,
     dr_and_snr_db,
     findings,
@@ -481,22 +480,6 @@ MAP_CLAIMS = [
 ]
 
 
-@pytest.mark.parametrize("claim", [*CLAIMS, *STACK_CLAIMS, *MAP_CLAIMS], ids=str)
-def test_closed_forms(claim: Claim) -> None:
-    claim.check()
-
-
-@pytest.mark.parametrize("smoothing", [0.5, 2.0, 8.0])
-@pytest.mark.parametrize("padding", [0, 20])
-@pytest.mark.parametrize("prominence", [0.02, 0.1, 0.5])
-def test_prominent_maxima_as_of_scipy(smoothing: float, padding: int, prominence: float) -> None:
-    """Of smooth and rough curves, with zeros around them, as a density has, and without."""
-    curve = ndimage.gaussian_filter1d(np.random.default_rng(5).random(300), smoothing)
-    values = np.pad(curve, padding)
-    peaks, _ = signal.find_peaks(values, prominence=prominence * values.max())
-    assert prominent_maxima(values, prominence * values.max()) == len(peaks)
-
-
 RNG = np.random.default_rng(1)
 BELL = RNG.normal(1.0, 0.3, (256, 256))
 APART = np.where(RNG.random((256, 256)) < 0.3, 1.0, 0.0)
@@ -507,11 +490,61 @@ DISTRIBUTIONS = {
     "two, 5 σ apart": (BELL + 1.5 * APART, 2),
     "two, 1 σ apart: their sum has one maximum": (BELL + 0.3 * APART, 1),
 }
+MODE_CLAIMS = [
+    *(
+        Claim(
+            f"prominent maxima as of SciPy, smooth over {smoothing}, {padding} zeros, {prominence}",
+            lambda curve=curve, prominence=prominence: prominent_maxima(
+                curve, prominence * curve.max()
+            ),
+            len(signal.find_peaks(curve, prominence=prominence * curve.max())[0]),
+        )
+        for smoothing in (0.5, 2.0, 8.0)
+        for padding in (0, 20)  # around it, as a density has them
+        for prominence in (0.02, 0.1, 0.5)
+        for curve in [
+            np.pad(
+                ndimage.gaussian_filter1d(np.random.default_rng(5).random(300), smoothing), padding
+            )
+        ]
+    ),
+    *(
+        Claim(f"modes of {name}", lambda values=values: modes(values), count)
+        for name, (values, count) in DISTRIBUTIONS.items()
+    ),
+]
+
+# Intervals ±0.3 and ±0.4 at the ends: the whole rise has to exceed 0.5.
+A, B, C = (0.7, 1.3), (1.0, 1.2), (1.2, 2.0)
+RISES = [
+    Claim(
+        f"whether {values} rise within {intervals}",
+        lambda values=values, intervals=intervals: int(rise(values, intervals)),
+        int(agrees),
+    )
+    for values, intervals, agrees in (
+        ((1.0, 1.2, 1.6), (A, B, C), True),  # the whole rise, 0.6, exceeds its 95 % interval, ±0.5
+        ((1.0, 1.2, 1.4), (A, B, (1.0, 2.0)), False),  # 0.4 is within ±0.5
+        ((1.0, 1.0, 1.6), (A, B, C), True),  # a step that neither rises nor falls
+        ((1.0, 1.7, 1.6), (A, B, C), False),
+        ((1.6, 1.5, 1.0), (A, B, C), False),
+        ((1.0, 1.0, 1.0), ((1.0, 1.0),) * 3, False),
+        ((1.0, 1.2, 1.6), (A, B, (None, 2.0)), False),
+        ((1.0, 1.2, 1.6), ((0.7, None), B, C), False),
+        ((1.0, 1.2, 1.6), ((0.7, None), B, (None, 2.0)), False),
+        # Of the ends that the rise does not depend on, none matters; a value with no interval at
+        # all is not known.
+        ((1.0, 1.2, 1.6), ((None, 1.3), (None, 1.2), (1.2, None)), True),
+        ((1.0, 1.2, 1.6), (A, (None, None), C), False),
+    )
+]
 
 
-@pytest.mark.parametrize(("values", "count"), DISTRIBUTIONS.values(), ids=DISTRIBUTIONS)
-def test_modes_of_known_distributions(values: Array, count: int) -> None:
-    assert modes(values) == count
+@pytest.mark.parametrize(
+    "claim", [*CLAIMS, *STACK_CLAIMS, *MAP_CLAIMS, *MODE_CLAIMS, *RISES], ids=str
+)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
 
 
 # --- the table
@@ -675,34 +708,6 @@ def test_findings_numbers_are_the_evidence() -> None:
         SLOWER: "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm",
         CROSS: "6 µm better at 1.3, 2.4, 4.3 lp/mm, 5.3 µm at 7.7, 14, 25 lp/mm",
     }
-
-
-# Intervals ±0.3 and ±0.4 at the ends: the whole rise has to exceed 0.5.
-A, B, C = (0.7, 1.3), (1.0, 1.2), (1.2, 2.0)
-
-
-@pytest.mark.parametrize(
-    ("values", "intervals", "agrees"),
-    [
-        ((1.0, 1.2, 1.6), (A, B, C), True),  # the whole rise, 0.6, exceeds its 95 % interval, ±0.5
-        ((1.0, 1.2, 1.4), (A, B, (1.0, 2.0)), False),  # 0.4 is within ±0.5
-        ((1.0, 1.0, 1.6), (A, B, C), True),  # a step that neither rises nor falls
-        ((1.0, 1.7, 1.6), (A, B, C), False),
-        ((1.6, 1.5, 1.0), (A, B, C), False),
-        ((1.0, 1.0, 1.0), ((1.0, 1.0),) * 3, False),
-        ((1.0, 1.2, 1.6), (A, B, (None, 2.0)), False),
-        ((1.0, 1.2, 1.6), ((0.7, None), B, C), False),
-        ((1.0, 1.2, 1.6), ((0.7, None), B, (None, 2.0)), False),
-        # Of the ends that the rise does not depend on, none matters; a value with no interval at
-        # all is not known.
-        ((1.0, 1.2, 1.6), ((None, 1.3), (None, 1.2), (1.2, None)), True),
-        ((1.0, 1.2, 1.6), (A, (None, None), C), False),
-    ],
-)
-def test_rise_verdicts(
-    values: tuple[float, ...], intervals: tuple[Interval, ...], agrees: bool
-) -> None:
-    assert rise(values, intervals) is agrees
 
 
 @pytest.mark.parametrize(
