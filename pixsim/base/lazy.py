@@ -1,11 +1,30 @@
-"""What SciPy and Matplotlib do when they are imported, and pixsim does not need."""
+"""What Python, SciPy and Matplotlib do, and pixsim does not need."""
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from contextlib import chdir, suppress
 from importlib.util import LazyLoader, find_spec, module_from_spec
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING or sys.version_info >= (3, 12):
+    from functools import cached_property as cached_property
+else:
+
+    class cached_property(functools.cached_property):
+        """Python's cached property as it is from 3.12 on: without a lock, which before would let
+        one thread at a time compute the property of all records of a class.
+        """
+
+        def __get__(self, record: Any, owner: type | None = None) -> Any:
+            """Return the value, computed once; by two threads at the same time, perhaps twice."""
+            if record is None:
+                return self
+            if self.attrname not in record.__dict__:
+                record.__dict__[self.attrname] = self.func(record)
+            return record.__dict__[self.attrname]
 
 
 def load_when_used(*names: str) -> None:

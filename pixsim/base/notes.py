@@ -72,6 +72,7 @@ class MachineWarning(UserWarning):
 
 
 PACKAGE = str(Path(__file__).parents[1])
+_showing = threading.RLock()
 
 
 def warn(note: Note) -> None:
@@ -84,7 +85,8 @@ def warn(note: Note) -> None:
         level = level + 1
         frame = frame.f_back
     category = MachineWarning if note.id == "machine" else UserWarning
-    warnings.warn(category(note), stacklevel=level)
+    with _showing:  # while another thread shows one, the filters are not those of its caller
+        warnings.warn(category(note), stacklevel=level)
 
 
 def note_of(message: Warning | str) -> Note:
@@ -96,7 +98,6 @@ def note_of(message: Warning | str) -> Note:
 
 
 _outer: ContextVar[list[Note] | None] = ContextVar("notes", default=None)
-_showing = threading.RLock()
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import is_utf8
 from pixsim.base.hashes import content_hash
 from pixsim.base.layers import Layer, merge_tables
+from pixsim.base.lazy import cached_property
 from pixsim.base.problems import MAX_VALUE, RECORDS, explain
 
 if TYPE_CHECKING:
@@ -77,7 +78,9 @@ class Record(BaseModel, metaclass=_RecordType):
     ValueError.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, ignored_types=(cached_property,)
+    )
 
     @field_validator("*", mode="before")
     @classmethod

@@ -525,8 +525,8 @@ class StudyOptions:
         int | None,
         Parameter(
             help=(
-                "Number of processes [default: one per core, where they are worth their start];"
-                " results do not depend on it."
+                "Number of processes [default: one per core where they are worth their start,"
+                " or else threads]; results do not depend on it."
             )
         ),
     ] = None

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from hashlib import blake2b
 from importlib import resources
 from typing import Any
@@ -23,6 +23,7 @@ from pixsim.base.arrays import Array, Positives, Row, strips, values_of
 from pixsim.base.bounds import Count, Positive, Whole, check_broadcast
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.mapped import is_mapped, release, update_with_array
 
 # The public names; everything else is internal.

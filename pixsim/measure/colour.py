@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.light.spectral import photons_per_joule
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant
 from pixsim.measure.estimators import Estimate, Frames

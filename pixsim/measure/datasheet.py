@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import rounded
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import listed
+from pixsim.base.lazy import cached_property
 from pixsim.base.progress import Stage, no_stage
 from pixsim.base.result import Result
 from pixsim.base.tables import plain

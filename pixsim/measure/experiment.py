@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
 from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, emva_illumination

@@ -8,7 +8,6 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from pixsim.base.bounds import Positive
 from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, collected_notes
 from pixsim.base.progress import Stage
 from pixsim.base.result import Result

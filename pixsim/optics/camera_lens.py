@@ -15,7 +15,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import MIN_THREADED_NUMBERS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, warn
 from pixsim.base.toml import packaged_tables
 from pixsim.light.spectral import SpectralImage

@@ -16,7 +16,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from hashlib import blake2b
 from itertools import product
 from threading import Lock
@@ -37,6 +37,7 @@ from pixsim.base.arrays import (
     strips,
 )
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.machine import threads
 from pixsim.base.progress import report
 

@@ -20,7 +20,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields as dataclass_fields, replace
-from functools import cache, cached_property
+from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -32,6 +32,7 @@ from pixsim.base.bounds import Bounds, Positive, check_broadcast
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import checked
 from pixsim.optics.ghosts import Ghost, find_ghosts, reflectances

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from pixsim.base.arrays import Array, strips
 from pixsim.base.bounds import Whole
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.base.mapped import release, zeros
 from pixsim.base.progress import Progress
 from pixsim.base.version import VERSION

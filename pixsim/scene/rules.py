@@ -11,7 +11,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property, wraps
+from functools import wraps
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.digits import percent
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.base.mapped import release, zeros
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.camera import Camera

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -25,6 +25,7 @@ from numpy.polynomial.chebyshev import chebvander
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.bounds import Count
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil

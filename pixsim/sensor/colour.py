@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.light.curves import Curves
 from pixsim.sensor.camera_data import camera_channels, camera_sensitivities
 from pixsim.sensor.colour_options import ColourOptions, channels_of, is_cell

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -20,6 +20,7 @@ from scipy.sparse import csr_array
 from pixsim.base.arrays import Array, in_threads, strips, transposed
 from pixsim.base.digits import amount, percent
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import watched_share
 from pixsim.light.spectral import SpectralImage, photons_per_joule

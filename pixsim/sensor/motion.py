@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, dct, empty_planes, strips, strips_of, transposed
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.machine import threads
 from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure

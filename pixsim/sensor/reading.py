@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, NotNegative, Positive
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import ELECTRON_C, DarkSpread

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from pixsim.base.arrays import (
 )
 from pixsim.base.bounds import Count, NotNegative, Positive, Whole
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera

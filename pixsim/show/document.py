@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from pixsim.base.digits import number
 from pixsim.base.headline import MAX_HEADLINE_WORDS
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note
 from pixsim.show.figures import pdf_bytes
 from pixsim.show.pages import DrawnFigure, Figures, Plate

@@ -6,7 +6,7 @@ import io
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from importlib import resources, util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.digits import estimate
 from pixsim.base.errors import invalid, one_line
 from pixsim.base.files import check_picture, opened, reason
+from pixsim.base.lazy import cached_property
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont

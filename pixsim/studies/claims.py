@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
 from pixsim.base.digits import interval, percent
+from pixsim.base.lazy import cached_property
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.dynamic_range import makers_range_db, readout_snr_db
 from pixsim.sensor.pixel import derive, fill_factor_law

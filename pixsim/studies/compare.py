@@ -102,8 +102,8 @@ def compare(
     variant : Mitsuba variant. None means the fastest that works
     quick : fewer pairs of frames, and the overrides of `study`, the file NAME.quick.toml next to
         its own
-    jobs : processes. None means one per core, where they are worth it. The results do not depend on
-        it
+    jobs : processes. None means one per core where they are worth their start, or else threads. The
+        results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes
     progress : returns a callback for each named stage

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.digits import estimate
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.studies.design import Case

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.bounds import Positive
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.result import Result
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY

@@ -30,7 +30,7 @@ from pixsim.studies.design import (
     metrics_of,
     study_pitches_um,
 )
-from pixsim.studies.engine import BASE_BYTES, suitable_jobs, workers_here
+from pixsim.studies.engine import BASE_BYTES, Workers, suitable_workers, workers_here
 from pixsim.studies.film_error import film_error, samples_per_dot
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import NOISE_SENSORS
@@ -69,6 +69,7 @@ class Cost:
     to a factor of about 3.
 
     memory_bytes : of all processes
+    jobs : processes that evaluate
     """
 
     renders: int
@@ -187,19 +188,17 @@ def _frame_costs(
     return costs[key]
 
 
-def jobs_of_study(cases: Sequence[tuple[Study, Camera]], types: int = 0) -> int:
-    """Return `suitable_jobs` for the first evaluations of a study's cases.
+def workers_of_study(cases: Sequence[tuple[Study, Camera]], types: int = 0) -> Workers:
+    """Return `suitable_workers` for the first evaluations of a study's cases.
 
     types : sensor types of each case, beside the study itself
     """
-    seconds = 0.0
-    largest_bytes = 0.0
     costs: dict[Any, list[FrameCost]] = {}
-    for study, camera in cases:
-        frames = _frame_costs(study, camera, costs)
-        seconds += (1 + types) * study.repeats * sum(frame.seconds for frame in frames)
-        largest_bytes = max(largest_bytes, *(frame.memory_bytes for frame in frames))
-    return suitable_jobs(seconds, largest_bytes)
+    return suitable_workers(
+        ((1 + types) * study.repeats, cost)
+        for study, camera in cases
+        for cost in _frame_costs(study, camera, costs)
+    )
 
 
 def _run_cost(
@@ -247,7 +246,8 @@ def _study_cost(
     costs: dict[Any, list[FrameCost]] = {}
     frames = [_frame_costs(study, camera, costs) for study, camera in cases]
     frame_bytes = max(frame.memory_bytes for case_frames in frames for frame in case_frames)
-    jobs = jobs or jobs_of_study(cases, types)
+    workers = workers_here(jobs) if jobs else workers_of_study(cases, types)
+    processes = workers.jobs if workers.are_processes else 1
 
     evaluations = 0
     frames_s = 0.0
@@ -264,9 +264,8 @@ def _study_cost(
     renders_s = lights * render_seconds(
         plan, shape, workers_here().jobs, pilot, largest_s, cases[0][0].max_seconds
     )
-    seconds = (
-        START_S + PAGE_S + renders_s + frames_s / jobs + _CURVE_S * min(curves, _MAX_DRAWN_CURVES)
-    )
+    curves_s = _CURVE_S * min(curves, _MAX_DRAWN_CURVES)
+    seconds = START_S + PAGE_S + renders_s + frames_s / workers.jobs + curves_s
 
     cells = math.prod(shape)
     planes = plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size
@@ -277,9 +276,9 @@ def _study_cost(
     )
     memory_bytes = max(
         render_bytes(plan, shape),
-        BASE_BYTES + light_bytes + behind_lens_bytes + jobs * (BASE_BYTES + frame_bytes),
+        (1 + processes) * BASE_BYTES + light_bytes + behind_lens_bytes + workers.jobs * frame_bytes,
     )
-    return Cost(lights, evaluations, seconds, memory_bytes, jobs)
+    return Cost(lights, evaluations, seconds, memory_bytes, processes)
 
 
 def planned_run(prepared: Job[Run]) -> dict[str, Any]:

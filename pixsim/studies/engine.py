@@ -1,5 +1,5 @@
-"""Parallel calls on worker processes: local ones by joblib, a cluster by Dask. Lost calls are
-retried.
+"""Parallel calls: on threads, on processes of this machine by joblib, on a cluster by Dask. Lost
+calls are retried.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,6 +34,8 @@ from pixsim.base.shared_block import SharedBlock
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from pixsim.studies.design import FrameCost
 
 Task = TypeVar("Task")
 Shared = TypeVar("Shared")
@@ -56,25 +58,36 @@ _BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 # For workers to come back after all are lost; between two looks.
 IDLE_SECONDS = 300.0
 WATCH_SECONDS = 5.0
-_SERIAL_SECONDS = 2.0  # of all evaluations in one process: two take a second to start
+# Of all evaluations on one thread: where they take less, threads of this process end sooner than
+# processes, which take a second to start.
+_PROCESS_SECONDS = 8.0
 BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 _AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Where calls run: in this process (1 job), in processes of this machine, or on a Dask cluster.
+    """Where calls run: in this process (1 job, or threads), in processes of this machine, or on a
+    Dask cluster.
 
+    jobs : calls at the same time
     client : a connected distributed.Client, or None
+    are_threads : whether jobs are threads of this process
     """
 
     jobs: int = 1
     client: Client | None = None
+    are_threads: bool = False
 
     def __str__(self) -> str:
         if self.client:
             return f"the cluster at {self.client.scheduler.address}"
-        return f"{self.jobs} processes"
+        return f"{self.jobs} {'threads' if self.are_threads else 'processes'}"
+
+    @property
+    def are_processes(self) -> bool:
+        """Whether several processes of this machine run the calls."""
+        return self.jobs > 1 and not self.client and not self.are_threads
 
 
 def workers_here(jobs: int | None = None) -> Workers:
@@ -82,29 +95,36 @@ def workers_here(jobs: int | None = None) -> Workers:
     return Workers(jobs or processors().usable)
 
 
-def suitable_jobs(seconds: float, largest_bytes: float) -> int:
-    """Return the number of processes that are worth their start, of which each has a core and
-    memory for the largest frame, at least 1.
+def suitable_workers(evaluations: Iterable[tuple[int, FrameCost]]) -> Workers:
+    """Return processes of this machine where they are worth their start, or else threads, of which
+    each has a core and memory for the largest frame.
 
-    seconds : of the evaluations in one process
+    evaluations : numbers of evaluations, and the cost of one
     """
-    if seconds < _SERIAL_SECONDS:
-        return 1
+    seconds = 0.0
+    largest_bytes = 0.0
+    for count, cost in evaluations:
+        seconds += count * cost.seconds
+        largest_bytes = max(largest_bytes, cost.memory_bytes)
+    jobs = workers_here().jobs
     usable_bytes = memory().usable
-    cores = workers_here().jobs
-    if usable_bytes is None:
-        return cores
-    fitting = int(usable_bytes // (BASE_BYTES + largest_bytes))
-    return max(1, min(cores, fitting))
+    if usable_bytes is not None:
+        jobs = max(1, min(jobs, int(usable_bytes // (BASE_BYTES + largest_bytes))))
+    return Workers(jobs, are_threads=seconds < _PROCESS_SECONDS)
 
 
 @contextmanager
-def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[Workers]:
+def workers_for(
+    jobs: int | None = None,
+    scheduler: object = None,
+    suitable: Callable[[], Workers] = workers_here,
+) -> Iterator[Workers]:
     """Provide local or cluster workers.
 
-    jobs : local processes. None means one per core
+    jobs : local processes
     scheduler : address of a Dask scheduler, such as tcp://host:8786, or a distributed.Client, which
         stays open
+    suitable : returns the local workers where neither is given
 
     Raises PixsimError if both are given, jobs is below 1, or the cluster is unreachable, has no
     worker or runs another pixsim.
@@ -113,7 +133,7 @@ def workers_for(jobs: int | None = None, scheduler: object = None) -> Iterator[W
         got = f"{jobs} with a scheduler" if scheduler is not None else jobs
         raise invalid("--jobs", got, "1 or more local processes, or a --scheduler without --jobs")
     if scheduler is None:
-        yield workers_here(jobs)
+        yield suitable() if jobs is None else workers_here(jobs)
     elif isinstance(scheduler, str):
         try:
             import distributed
@@ -189,8 +209,8 @@ def results_of(
     fatal: Calls[Task, Shared] = {}
     # Read at the beginning, since a closed client has no address.
     address = workers.client.scheduler.address if workers.client else ""
-    if not workers.client and (len(calls) == 1 or (workers.jobs > 1 and not processes_work())):
-        workers = Workers()  # one call does not need a process
+    if not workers.client and (len(calls) == 1 or (workers.are_processes and not processes_work())):
+        workers = Workers()  # one call needs no other thread or process
 
     def attempt(batch: Calls[Task, Shared]) -> Iterator[Result]:
         """Yield results, and remove finished calls from the batch; stop when a worker dies."""
@@ -307,6 +327,9 @@ def _run_calls(
     if not workers.client and workers.jobs == 1:
         yield from ((index, function(task, make())) for index, (task, make) in list(calls.items()))
         return
+    if workers.are_threads:
+        yield from _on_threads(function, calls, workers.jobs)
+        return
     if workers.client:
         results = _on_cluster(function, calls, workers.client)
     else:
@@ -320,6 +343,29 @@ def _run_calls(
                 warn(note)
                 warned.add(note)
         yield index, result
+
+
+def _on_threads(
+    function: Function[Task, Shared, Result], calls: Calls[Task, Shared], jobs: int
+) -> Iterator[tuple[int, Result]]:
+    """Yield each call's number and result from threads of this process.
+
+    An error, or Ctrl-C, ends them when the running calls end.
+    """
+    waiting_calls = iter(list(calls.items()))
+    running: dict[Future[Result], int] = {}
+    with ThreadPoolExecutor(jobs, "pixsim calls") as pool:
+        try:
+            while True:
+                # Shared data are made here, for one call ahead of those that run.
+                for index, (task, make) in islice(waiting_calls, jobs + 1 - len(running)):
+                    running[pool.submit(function, task, make())] = index
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(future), future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _on_cluster(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pixsim.base import cache
 from pixsim.base.digits import counted
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.base.progress import Progress
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
@@ -42,7 +43,7 @@ from pixsim.studies.design import (
     point_count,
     points_at,
 )
-from pixsim.studies.engine import Workers, results_of, suitable_jobs, workers_here
+from pixsim.studies.engine import Workers, results_of, suitable_workers
 from pixsim.studies.lights import Light
 from pixsim.studies.table import DEGREE, DOTS, Label, Row, Store, Table
 from pixsim.viewer.chain import ImagingChain, chain_of_frames, make_chain
@@ -735,7 +736,7 @@ def evaluate_points(
 
     cases : cases of a group follow one another
     results : results.csv, whose folder the caller has locked. None writes no file
-    workers : None takes as many processes as are worth it
+    workers : None takes those that suit the cost of the points
     progress : returns a callback for each round
     further_sizes : called for each group when its points are evaluated; it depends on the tables
         alone, so that a resumed study adds the same points. None adds no points
@@ -752,21 +753,13 @@ def evaluate_points(
     if first_frame is not None:
         workers = Workers()
     elif workers is None:
-        workers = _suitable_workers(cases)
+        workers = suitable_workers(
+            (count, frame_cost(rendered.imaging.camera, pitch_um, *rendered.displays))
+            for rendered in cases
+            for pitch_um, count in rendered.case.sizes.items()
+        )
     evaluation = _Evaluation(cases, results, workers, counts or Counts(0, 0, 0), first_frame)
     return evaluation.run(progress, further_sizes, on_case_done, in_parts)
-
-
-def _suitable_workers(cases: Sequence[RenderedCase]) -> Workers:
-    """Return as many processes of this machine as are worth it, and fit into memory."""
-    seconds = 0.0
-    largest_bytes = 0.0
-    for rendered in cases:
-        for pitch_um, count in rendered.case.sizes.items():
-            cost = frame_cost(rendered.imaging.camera, pitch_um, *rendered.displays)
-            seconds += count * cost.seconds
-            largest_bytes = max(largest_bytes, cost.memory_bytes)
-    return workers_here(suitable_jobs(seconds, largest_bytes))
 
 
 class _Evaluation:
@@ -1126,7 +1119,7 @@ class _Evaluation:
 
         batches: list[list[tuple[Task, Callable[[], SharedLight]]]] = []
         # Processes of this machine have lights in files, and share them.
-        size = self.capacity * (_FILE_LIGHTS_RATIO if self.workers.jobs > 1 else 1)
+        size = self.capacity * (_FILE_LIGHTS_RATIO if self.workers.are_processes else 1)
         for first in range(0, len(tasks), size):
             light_ids = list(tasks)[first : first + size]
             fits_in_memory = len(light_ids) <= self.capacity
@@ -1140,7 +1133,7 @@ class _Evaluation:
                 # The tasks of the very first light keep the workers busy while the next lights are
                 # made.
                 first_maker = None
-                if not batches and self.workers.jobs > 1:
+                if not batches and self.workers.are_processes:
                     first_maker = makers[light_ids[0]]
                 calls.sort(key=lambda call: (call[1] is not first_maker, call[0].order))
             batches.append(calls)

@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache, wraps
+from functools import lru_cache, wraps
 from itertools import product
 from typing import Any
 
@@ -47,6 +47,7 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.special import fdtrc, gammaincinv, stdtrit
 
 from pixsim.base.arrays import Array
+from pixsim.base.lazy import cached_property
 from pixsim.sensor.quantities import Pitch
 from pixsim.viewer.metrics import Metric
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -24,6 +23,7 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import amount
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import Record
 from pixsim.base.schema import KEY

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from pixsim.base.bounds import Count
 from pixsim.base.caller import setting
 from pixsim.base.digits import exposure_time, interval, rounded
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage

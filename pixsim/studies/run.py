@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -22,6 +22,7 @@ from pixsim.base.bounds import Count
 from pixsim.base.caller import parameter, setting
 from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, collected_notes, suppressed_warnings, warn
 from pixsim.base.progress import Progress, Stage, no_stage, share_of, watched
 from pixsim.base.result import Result

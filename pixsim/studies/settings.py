@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import reduce
 from operator import getitem
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -30,6 +30,7 @@ from pixsim.base.caller import setting
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import did_you_mean, invalid, name_fault
 from pixsim.base.layers import Layer, nested
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, warn
 from pixsim.base.problems import UNION_BRANCHES
 from pixsim.base.records import AnyNumber, NumberOrText, Record, UnitInterval, as_list, checked

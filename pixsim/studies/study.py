@@ -46,7 +46,7 @@ from pixsim.studies.design import (
     study_pitches_um,
     warn_of_reviews,
 )
-from pixsim.studies.dry_run import jobs_of_study
+from pixsim.studies.dry_run import workers_of_study
 from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluate import (
     Counts,
@@ -585,8 +585,8 @@ def study(
         overrides a named study's
     quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file
         NAME.quick.toml next to the study's, or else at most 8 sizes of 4 sensors
-    jobs : processes. None means one per core, where they are worth it. The results do not depend on
-        it.
+    jobs : processes. None means one per core where they are worth their start, or else threads. The
+        results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes; on the same kind of processor their results are bitwise equal
     variant : Mitsuba variant. None means the fastest that works
@@ -690,14 +690,16 @@ def run_prepared(
         studies = [case.settings for case in job.combinations]
         check_types(plan, studies, type_request, agreed)
         file_names += map(types_file, drawn_metrics(plan))
-    if jobs is None and scheduler is None:
-        settings = [(case.settings, case.camera) for case in job.combinations]
-        jobs = jobs_of_study(settings, 0 if type_request is None else type_request.draws)
+    suitable = partial(
+        workers_of_study,
+        [(case.settings, case.camera) for case in job.combinations],
+        0 if type_request is None else type_request.draws,
+    )
 
     with collected_notes() as notes, ExitStack() as stack:
         for name in file_names:
             check_replaceable_results(Path(out) / name)
-        workers = stack.enter_context(workers_for(jobs, scheduler))
+        workers = stack.enter_context(workers_for(jobs, scheduler, suitable))
         folder = stack.enter_context(output_folder(out))
 
         lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)
@@ -751,7 +753,11 @@ def run_prepared(
     if type_request is None:
         return final
 
-    with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
+    with (
+        collected_notes(),
+        workers_for(jobs, scheduler, suitable) as workers,
+        output_folder(out) as folder,
+    ):
         distributions = _draw_types(
             final, type_request, folder, workers, lambda: stage("sensor types")
         )

@@ -137,8 +137,8 @@ def sweep(
     config : one or more TOML files with settings of all sensors, which take precedence over the
         numbers of `pixels`
     pixel : fields of all pixels, as {"bits": 12}
-    jobs : processes. None means one per core, where they are worth it. The results do not depend on
-        it
+    jobs : processes. None means one per core where they are worth their start, or else threads. The
+        results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers
         replace local processes
     progress : returns a callback for each named stage

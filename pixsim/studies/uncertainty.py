@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from scipy.special import betaincinv, ndtri
 from pixsim.base.arrays import Array, stream
 from pixsim.base.digits import percent
 from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.lazy import cached_property
 from pixsim.base.records import Record, restated_by
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.sensor.pixel import ABSORPTION_DEPTH_UM, absorbed_share

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
 from pixsim.base.digits import exposure_time
 from pixsim.base.errors import invalid
+from pixsim.base.lazy import cached_property
 from pixsim.sensor.collection import Collection, ColourCollection, collections_of
 from pixsim.sensor.colour import channel_map
 from pixsim.sensor.correction import correct

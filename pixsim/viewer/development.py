@@ -7,13 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.lazy import cached_property
 from pixsim.sensor.collection import Collection, ColourCollection, shading_of
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.reading import Readout

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
+from pixsim.base.lazy import cached_property
 from pixsim.sensor.readout import Frame
 from pixsim.viewer.chain import ExpectedFrame, ImagingChain
 from pixsim.viewer.development import Development

@@ -20,10 +20,10 @@ The way of one frame, each step in the module of its name:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure

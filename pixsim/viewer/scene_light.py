@@ -5,9 +5,9 @@ frames, and caches of both.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.hashes import content_hash
+from pixsim.base.lazy import cached_property
 from pixsim.light.spectral import SpectralImage, without_outliers
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import Collection, ColourCollection, collected_area_um2
@@ -102,11 +103,14 @@ class LightFacts:
         """Return a value that the frames of a pixel share, computed once; the oldest is dropped
         where there are too many.
         """
-        if key not in self._cached:
-            while len(self._cached) >= _CACHED_TABLES:
-                self._cached.pop(next(iter(self._cached)), None)
-            self._cached[key] = compute()
-        value: T = self._cached[key]
+        if key in self._cached:
+            cached: T = self._cached[key]
+            return cached
+        value = compute()
+        # Several threads may do so.
+        for oldest in list(self._cached)[: len(self._cached) + 1 - _CACHED_TABLES]:
+            self._cached.pop(oldest, None)
+        self._cached[key] = value
         return value
 
     @classmethod
@@ -196,23 +200,19 @@ class PreparedScene:
         """Return the collection of the pixels of a colour sensor with a stack."""
         layout = Layout.unbinned(physics.pixel)
         assert layout is not None
-        cached = self._collections[-1] if self._collections else None
-        is_same = cached is not None and all(
-            previous is collection
-            for previous, collection in zip(cached.collections, collections, strict=True)
+        # The registrations of a pitch, which follow one another, share what is expensive of it.
+        for cached in tuple(self._collections):
+            if all(map(operator.is_, cached.collections, collections)):
+                return cached
+        collection = ColourCollection(
+            layout,
+            tuple(collections),
+            self.whites_e_per_s_um2,
+            physics.pitch_um,
+            physics.pixel.bin_side,
         )
-        if not is_same:
-            # The registrations of a pitch, which follow one another, share what is expensive of it.
-            self._collections[:] = [
-                ColourCollection(
-                    layout,
-                    tuple(collections),
-                    self.whites_e_per_s_um2,
-                    physics.pitch_um,
-                    physics.pixel.bin_side,
-                )
-            ]
-        return self._collections[-1]
+        self._collections[:] = [collection]
+        return collection
 
     def store_integrals(self) -> None:
         """Compute the running integrals that all pitches share, before workers need them."""

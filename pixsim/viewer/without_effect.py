@@ -16,13 +16,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
+from pixsim.base.lazy import cached_property
 from pixsim.base.notes import Note, suppressed_warnings, warn
 from pixsim.base.records import Record
 from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage

@@ -35,6 +35,7 @@ from pixsim.studies import engine
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 
 PACKAGE = Path(pixsim.__file__).parent
+THREADS = Workers(2, are_threads=True)
 LIGHTS = {
     "name": "light",
     "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"],
@@ -52,15 +53,15 @@ FEW = {
 # --- calls ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_every_call_is_made_once_with_its_shared_data(jobs: int) -> None:
+@pytest.mark.parametrize("workers", [Workers(1), Workers(2), THREADS], ids=str)
+def test_every_call_is_made_once_with_its_shared_data(workers: Workers) -> None:
     make = Mock(side_effect=lambda size: {"values": np.full(size, 2.0)})
     makes = [partial(make, 3), partial(make, 150_000)]
-    results = results_of(double, [(task, makes[task % 2]) for task in range(20)], Workers(jobs))
+    results = results_of(double, [(task, makes[task % 2]) for task in range(20)], workers)
     assert sorted(results) == [
         (task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)
     ]
-    assert jobs == 1 or make.call_count == 2, "shared data are made once"
+    assert not workers.are_processes or make.call_count == 2, "shared data are made once"
 
 
 def test_shared_files_error_is_raised_when_the_file_is_asked_for(tmp_path: Path) -> None:
@@ -89,16 +90,18 @@ def test_call_that_ends_its_worker_again_and_again_is_named() -> None:
     assert sorted(finished) == [task for task in range(12) if task != 3]
 
 
-def test_warnings_of_workers_are_shown_once() -> None:
+@pytest.mark.parametrize("workers", [Workers(2), THREADS], ids=str)
+def test_warnings_of_workers_are_shown_once(workers: Workers) -> None:
     with collected_notes() as notes:
-        results = results_of(warn, [(task, nothing) for task in range(6)], Workers(2))
+        results = results_of(warn, [(task, nothing) for task in range(6)], workers)
         assert sorted(results) == list(range(6))
     assert notes == ["the moon is out"]
 
 
-def test_error_of_a_call_is_not_tried_again() -> None:
+@pytest.mark.parametrize("workers", [Workers(1), THREADS], ids=str)
+def test_error_of_a_call_is_not_tried_again(workers: Workers) -> None:
     with pytest.raises(ZeroDivisionError):
-        list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], Workers(1)))
+        list(results_of(fail, [(task, nothing) for task in (2, 1, 0, 3)], workers))
 
 
 def test_workers_collect_garbage_and_work_in_the_current_folder(

@@ -19,7 +19,7 @@ from pixsim.report.uncertainty import uncertainty_files
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.show.render import write
-from pixsim.studies.dry_run import jobs_of_study
+from pixsim.studies.dry_run import workers_of_study
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
 from pixsim.studies.prepare import check_types, prepare, uncertainty_request
@@ -112,12 +112,14 @@ def study_files(
 
 
 def _picture_workers(result: StudyResult, jobs: int | None, scheduler: str | None) -> Workers:
-    """Return the processes that make the pictures: processes of this machine, unless a Dask
-    scheduler evaluates.
+    """Return the workers that make the pictures: those of the study, unless a Dask scheduler
+    evaluates.
     """
     if scheduler is not None:
         return Workers()
-    return workers_here(jobs or jobs_of_study([(case.study, case.camera) for case in result.cases]))
+    if jobs is not None:
+        return workers_here(jobs)
+    return workers_of_study([(case.study, case.camera) for case in result.cases])
 
 
 @contextmanager

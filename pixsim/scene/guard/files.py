@@ -19,7 +19,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from xml.parsers import expat
 
@@ -27,6 +26,7 @@ from pixsim.base.bounds import value_text
 from pixsim.base.caller import parameter
 from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
 from pixsim.base.files import is_utf8, missing, read_text
+from pixsim.base.lazy import cached_property
 from pixsim.scene.guard.assets import NUMBER
 from pixsim.scene.packaged import packaged_folder
 

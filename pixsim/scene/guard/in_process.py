@@ -5,13 +5,13 @@ process or in a child of it.
 from __future__ import annotations
 
 import math
-from functools import cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pixsim.base.lazy import cached_property
 from pixsim.scene.job import MESHES, WAVELENGTHS, Lamps, Passes, TraceJob
 from pixsim.scene.mitsuba import drjit, mitsuba_session, parse
 from pixsim.scene.textures import is_exr
