@@ -115,7 +115,12 @@ def test_channels_have_fichets_layout(make, tmp_path: Path) -> None:
         assert file.header()["spectralLayoutVersion"] == "1.0"
         assert file.header()["emissiveUnits"] == "W.m^-2.nm^-1"
         planes = np.stack([file.channels()[name].pixels for name in names], axis=2)
+        line_bytes = 8 + 4 * 7 * len(file.channels())  # row and size, and 7 columns
     assert np.array_equal(bits(planes), bits(image.data))
+    content = (tmp_path / "image.exr").read_bytes()
+    line_at = len(content) - line_bytes * np.arange(5, 0, -1)  # five lines end the file
+    table = np.frombuffer(content[line_at[0] - 40 : line_at[0]], "<u8")
+    check("offsets of lines, by which other programs find them", table, line_at, why="exact")
 
 
 @pytest.mark.parametrize("blocks", [1, 4, 5])

@@ -34,10 +34,6 @@ def disc_um(camera: pixsim.Camera, depth_m: float) -> float:
     return 1e3 * camera.focal_length_mm / camera.f_number * abs(image_mm * vergence_per_mm - 1)
 
 
-def steps_nm(*tables: list[float]) -> list[float]:
-    return [Spectrum(np.array(nodes), np.ones(len(nodes))).step_nm for nodes in tables]
-
-
 def edge_loss() -> float:
     """Light of a straight edge across a disc of diameter 1: the share of the disc beyond t, for t
     from 0 to ½; an edge loses it on one side and has it on the other.
@@ -127,9 +123,9 @@ CLAIMS = [
           lambda: [charts.csf_frequency_on_sensor(header, 2.0) is None for header in (
               {"scene": "flat.xml"}, CSF | {"parameters": {"chart": "a.exr"}}, CSF | {"parameters": 3})], [1, 1, 0]),
     Claim("sRGB (IEC 61966-2-1)", lambda: srgb_decoded(np.array([0, 0.04045, 0.5, 1])), [0, 0.0031308, 0.21404, 1], atol=5e-6, why="digits of the standard"),
-    Claim("steps that resolve tables", lambda: steps_nm(
+    Claim("steps that resolve tables", lambda: [Spectrum(np.array(nodes), np.ones(len(nodes))).step_nm for nodes in (
         [380, 385, 390], [531, 532, 533], [400, 500, 500, 600], [631.8, 632.8, 633.8], [400, 400.2, 401],
-        [400, 400.19, 401], [532.0, 532.01, 532.02]), [1, 1, 1, 1 / 8, 1 / 8, 1 / 32, 1 / 32]),
+        [400, 400.19, 401], [532.0, 532.01, 532.02])], [1, 1, 1, 1 / 8, 1 / 8, 1 / 32, 1 / 32]),
     Claim("Wien: a black body of 5000 K is brightest at 579.6 nm",
           lambda: 400 + planck(np.arange(400.0, 800.0), 5000).argmax(), 580.0, atol=1, why="steps of 1 nm"),
     Claim("passes of few pulses", lambda: list(map(len, passes(3) + passes(1))), [2, 1, 1]),

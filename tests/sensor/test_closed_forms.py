@@ -1,7 +1,6 @@
 """Closed forms of pixels, silicon, noise, readout, exposure and motion: a row each."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -287,17 +286,19 @@ SILICON = [
 ]
 
 
-def mean_over_phases(function: Callable[[float], float]) -> float:
-    return quad(lambda phase: function(math.cos(phase)) / math.pi, 0, math.pi, limit=200)[0]
-
-
 LAMP = {"flicker_hz": 100.0, "flicker_depth": 0.6}
 FLICKER = [
     *(
         Claim(
             f"light of modulation {modulation:g} clipped at {limit:g}",
             lambda limit=limit, modulation=modulation: clipped_light(limit, modulation),
-            mean_over_phases(lambda cosine, m=modulation, top=limit: min(1 + m * cosine, top)),
+            # The mean over all phases.
+            quad(
+                lambda phase, m=modulation, top=limit: min(1 + m * math.cos(phase), top) / math.pi,
+                0,
+                math.pi,
+                limit=200,
+            )[0],
             atol=1e-6,
             why="quadrature at the kink",
         )
@@ -546,10 +547,6 @@ SHEET = {
 }
 
 
-def beside_readout(pitch_um: float, technology, area_um2: float) -> float:
-    return float(fill_factor_law(pitch_um, technology)) * (1 - area_um2 / pitch_um**2)
-
-
 def of_area(physics: PixelPhysics) -> list[float]:
     return [
         physics.fill_factor,
@@ -584,15 +581,17 @@ LAYOUT = [
     *(
         Claim(
             f"the pitch of a fill factor inverts the law {law}, with {area_um2:g} µm² of circuits",
-            lambda law=law, area_um2=area_um2: beside_readout(
-                pitch_for_fill_factor_um(0.4, with_fill_factor_law(T035, law), area_um2),
-                with_fill_factor_law(T035, law),
-                area_um2,
+            lambda process=process, area_um2=area_um2: (
+                fill_factor_law(
+                    pitch_um := pitch_for_fill_factor_um(0.4, process, area_um2), process
+                )
+                * (1 - area_um2 / pitch_um**2)
             ),
             0.4,
             rtol=1e-12,
         )
         for law in ("technology", "inset")
+        for process in [with_fill_factor_law(T035, law)]
         for area_um2 in (0.0, 30.0)
     ),
     Claim(

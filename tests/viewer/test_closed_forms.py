@@ -79,18 +79,6 @@ def csf(frequency: float) -> float:
     return 75 * frequency**0.8 * math.exp(-0.2 * frequency) / 34.05
 
 
-def half_waves(order: int) -> np.ndarray:
-    """A cosine of `order` half-waves along 64 dots, which reflection at the borders continues."""
-    return np.broadcast_to(np.cos(np.pi * order * (np.arange(64) + 0.5) / 64), (64, 64))
-
-
-def grey_noise(order: int) -> float:
-    """Visual noise of a wave of 1e-5 on 0.2 of white: CSF · dL*/dY · a/√2, at order/2 cycles in
-    64/40 degrees.
-    """
-    return 116 / 3 * 0.2 ** (-2 / 3) * 1e-5 / math.sqrt(2) * csf(order / 2 / 64 * 40.0)
-
-
 def gaussian_npwe() -> float:
     """d′ of a Gaussian of 0.1° in white noise of 0.3 on 32 dots a degree.
 
@@ -561,11 +549,16 @@ JUDGES = [
         400 / PITCH_MM**2 * np.array([1, 0.25, 0]),
         rtol=1e-14,
     ),
+    # A cosine of half-waves along 64 dots, which reflection at the borders continues: it has CSF ·
+    # dL*/dY · a/√2, at order/2 cycles in 64/40 degrees.
     *(
         Claim(
-            f"visual noise of {order} half-waves",
-            lambda order=order: metrics.visual_noise(0.2 + 1e-5 * half_waves(order), 40.0),
-            grey_noise(order),
+            f"visual noise of {order} half-waves of 1e-5 on 0.2 of white",
+            lambda order=order: metrics.visual_noise(
+                np.tile(0.2 + 1e-5 * np.cos(np.pi * order * (np.arange(64) + 0.5) / 64), (64, 1)),
+                40.0,
+            ),
+            116 / 3 * 0.2 ** (-2 / 3) * 1e-5 / math.sqrt(2) * csf(order / 2 / 64 * 40.0),
             rtol=1e-6,
             why="first order of the amplitude",
         )
