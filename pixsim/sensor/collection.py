@@ -337,7 +337,7 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
         return []
     y_um, x_um = camera.die_um
     # From the centre to the corner, since a table's largest angle need not be there.
-    radius = np.linspace(0.0, 0.5, _FIELD_STEPS + 1)
+    radius = np.linspace(0.0, 0.5, _FIELD_STEPS)
     pupil = camera_pupil(camera).at(x_um * radius, y_um * radius)
     limits = model_limits(physics.stack, pupil, _responsive_nm(physics, wavelength_nm))
     return [Note("stack_model", pitch_um=physics.pitch_um, words=text) for text in limits]

@@ -31,6 +31,7 @@ from pixsim.optics.camera_lens import (
     _chosen_tiling,
     _stated_tiling,
     _TestPoints,
+    _with_fewest_tiles,
     band_groups,
     camera_blur,
     camera_distortion,
@@ -1043,18 +1044,38 @@ def test_each_part_of_a_tiling_has_its_share_of_the_tolerance(monkeypatch) -> No
     check("wavelengths, nodes, cells", counts, wanted, why="the fewest")
 
 
-def test_tighter_tolerance_chooses_a_finer_tiling() -> None:
-    """Its stated error is within the tolerance, where the lens allows it."""
-    camera = with_lens("cooke_triplet", 6.0, focal_length_mm=20.0)
-    light = (550.0,), (1.0,), 30.0
-    coarse, fine = (
-        choose_tiling(camera, (400, 400), 15.0, *light, error) for error in (0.05, 0.01)
-    )
-    assert 0 < fine.error < coarse.error <= 0.05
-    assert fine.spacing_um <= coarse.spacing_um
-    # On nine cells of 60 µm, which is all that waves are followed for, a PSF loses more.
+def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
+    """Their error falls with the cube of their number, beside one of 2e-4 that stays: (100 cells of
+    1000)³ for 24 tiles on 2400 cells. Two points of six tell that few are too few.
+    """
+    points = _TestPoints(Camera(die_mm=6.0), (1200, 2400), 2.5, np.ones(1), np.ones(1), 5.0)
+    vars(points).update(bins=2, heights_um=4e3 * np.array([0.0, 0.25, 0.5, 0.7, 0.86, 0.97]))
+    grid_cells = [points.grid_cells(9), points.grid_cells(33)]
+    check("cells of twice the size", grid_cells, [5, 17], why="odd, with as many on each side")
+    exact = np.ones((6, 8, 5), complex)
+    cells_at_points: list[int] = []
+    for name, value in {
+        "camera_psfs": lambda *_: None,
+        "psfs_between_tiles": lambda *args: cells_at_points.append(args[-1]) or args[-2],
+        "psf_transform": lambda spacing, *_: exact[0] * (1 + (2 * spacing / 1000) ** 3),
+    }.items():
+        monkeypatch.setattr(camera_lens, name, value)
+    got = []
+    for tolerance in (1.3e-3, 1.1e-3, 3.3e-4, 2.2e-4):
+        tiling = _with_fewest_tiles(points, Tiling(0.0, 165.0, 0.0), exact, 2e-4, tolerance)
+        got.append((tiling.spacing_um / 2.5, tiling.error, tiling.worst, sum(cells_at_points) / 33))
+        cells_at_points.clear()
+    wanted = [
+        (spacing, 2e-4 + (spacing / 1000) ** 3, 2e-4 + (spacing / 1000) ** 3, computed)
+        for spacing, computed in ((100, 6), (75, 6 + 6), (50, 2 + 6), (38, 2 + 2 + 6))
+    ]
+    check("spacing, errors and points that were computed", got, wanted, rtol=1e-9, why="rounding")
+
+
+def test_psfs_of_a_coarse_film_lose_more_than_the_tolerance() -> None:
+    """On nine cells of 60 µm, which is all that waves are followed for."""
     wide = with_lens("singlet", 6.0, focal_length_mm=20.0)
-    limited = choose_tiling(wide, (100, 100), 60.0, *light[:2], 60.0, 0.01)
+    limited = choose_tiling(wide, (100, 100), 60.0, (550.0,), (1.0,), 60.0, 0.01)
     assert 0.01 < limited.cut_error <= limited.error
     assert limited.psf_um == 9 * 60.0
 
