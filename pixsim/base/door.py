@@ -158,7 +158,7 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
     """
     import numpy as np
     from numpy.typing import ArrayLike
-    from pydantic import BeforeValidator, InstanceOf, Strict
+    from pydantic import BeforeValidator, Strict
 
     hint = _without_alias(hint) if hint is not ArrayLike else hint
     origin = get_origin(hint)
@@ -187,8 +187,22 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
     if origin in (dict, Mapping):
         return Annotated[dict[str, _type(inner[1], bounds)], lax]  # type: ignore[misc]
     if inspect.isclass(hint) and hint not in (str, object, Any):
-        return InstanceOf[hint]  # type: ignore[misc]
+        return Annotated[Any, _Instance(hint)]
     return hint
+
+
+class _Instance:
+    """An instance of a class, whatever it holds: pydantic's `InstanceOf` also builds the checks of
+    its fields, which nothing uses.
+    """
+
+    def __init__(self, kind: type) -> None:
+        self.kind = kind
+
+    def __get_pydantic_core_schema__(self, *_: object) -> Any:
+        from pydantic_core.core_schema import is_instance_schema
+
+        return is_instance_schema(self.kind)
 
 
 def _union(kinds: Sequence[Any], bounds: Bounds | None) -> Any:
