@@ -509,20 +509,18 @@ def _cached_frames(frames_key: str) -> cache.Arrays:
 
 # Arrays of a frame in the cache.
 _DN = "dn"
-_SATURATED = "saturated_fraction"
-_LIGHT_STATISTICS = ("share_of_full_well", "mean_electrons_e")  # of `frame_statistics`
-_TIME = "integration_s"
-_GAIN = "gain_db"
 _CORRECTED = "corrected_e"
 _SATURATED_PIXELS = "saturated"
+_NUMBERS = "numbers"  # together: each array takes as long to read as 50 000 pixels
+_LIGHT_STATISTICS = ("share_of_full_well", "mean_electrons_e")  # of `frame_statistics`
+_NUMBER_NAMES = (*_LIGHT_STATISTICS, "saturated_fraction", "integration_s", "gain_db")
 
 
 def _array_name(repeat: int, part: str) -> str:
     """Return the name of an array of a frame in the cache.
 
     Beside the codes and the corrected electrons, the cache has what does not follow from them: the
-    saturated fraction, the saturated pixels of a burst, the time, the gain, and the statistics of
-    the electrons.
+    saturated pixels of a burst, and `_NUMBER_NAMES`.
     """
     return f"{repeat}_{part}"
 
@@ -539,15 +537,19 @@ def _cached_frame(
         pictures.append(_CORRECTED)
     if imaging.exposure.frames > 1 or is_merged:
         pictures.append(_SATURATED_PIXELS)
-    parts = (*pictures, _SATURATED, *_LIGHT_STATISTICS, _TIME, _GAIN)
     arrays: cache.Arrays = {}
-    for part in parts:
+    for part in (*pictures, _NUMBERS):
         array = frames.get(_array_name(repeat, part))
-        expected_shape = shape if part in pictures else ()
+        expected_shape = shape if part in pictures else (len(_NUMBER_NAMES),)
         if array is None or array.shape != expected_shape:
             return None
         arrays[part] = array
     return arrays
+
+
+def _numbers_of(cached: cache.Arrays) -> dict[str, float]:
+    """Return the numbers of `_NUMBER_NAMES` of a cached frame."""
+    return dict(zip(_NUMBER_NAMES, cached[_NUMBERS].tolist(), strict=True))
 
 
 def _chain_of_cached_frame(
@@ -571,8 +573,9 @@ def _chain_of_cached_frame(
     cached = _cached_frame(frames, repeat, shape, imaging)
     if cached is None:
         return None
-    metered = imaging.exposure.model_copy(update={"gain_db": float(cached[_GAIN])})
-    exposure = with_shared_time(metered, float(cached[_TIME]))
+    numbers = _numbers_of(cached)
+    metered = imaging.exposure.model_copy(update={"gain_db": numbers["gain_db"]})
+    exposure = with_shared_time(metered, numbers["integration_s"])
     return chain_of_frames(imaging.changed(exposure=metered), light, exposure, shape)
 
 
@@ -580,7 +583,7 @@ def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
     """Return the frame of arrays of the cache, of `_cached_frame`."""
     frame = make_frame(
         cached[_DN].astype(np.int32),
-        float(cached[_SATURATED]),
+        _numbers_of(cached)["saturated_fraction"],
         chain.signal_e_per_s,
         chain.readout,
         chain.exposure,
@@ -591,17 +594,14 @@ def _frame_from_cache(cached: cache.Arrays, chain: ImagingChain) -> Frame:
 
 def _arrays_for_cache(frame: Frame, readout: Readout) -> cache.Arrays:
     """Return the arrays of a frame for the cache, by `_DN` and so on."""
-    statistics = frame_statistics(readout, frame)
+    numbers = frame_statistics(readout, frame) | {"gain_db": frame.gain_db}
     is_merged = isinstance(frame, MergedFrame)
     # A merge, which has no codes, is cached as electrons.
     dn = np.zeros(frame.shape, np.int32) if is_merged else frame.dn
     arrays: cache.Arrays = {
         _DN: dn.astype(np.min_scalar_type(2**frame.bits - 1)),
-        _SATURATED: np.array(frame.saturated_fraction),
-        _TIME: np.array(frame.integration_s),
-        _GAIN: np.array(frame.gain_db),
+        _NUMBERS: np.array([numbers[name] for name in _NUMBER_NAMES], float),
     }
-    arrays |= {name: np.array(statistics[name]) for name in _LIGHT_STATISTICS}
     if frame.corrected_e is not None:
         arrays[_CORRECTED] = frame.corrected_e
     if (frame.exposures > 1 or is_merged) and frame.saturated is not None:
@@ -632,7 +632,8 @@ def frames_of(
         rows, columns = chain.signal_e_per_s.shape[:2]
         cached = _cached_frame(cached_frames, repeat, (rows, columns), task.imaging)
         if cached is not None:
-            statistics = {name: float(cached[name]) for name in _LIGHT_STATISTICS}
+            numbers = _numbers_of(cached)
+            statistics = {name: numbers[name] for name in _LIGHT_STATISTICS}
             yield repeat, chain, _frame_from_cache(cached, chain), statistics
             continue
 
