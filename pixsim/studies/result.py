@@ -84,6 +84,9 @@ class StudyResult(Result):
     uncertainty: tuple[Any, ...] = ()
     table: Table | None = field(default=None, repr=False, compare=False)
     prepared_sensors: tuple[RenderedCase, ...] = field(default=(), repr=False, compare=False)
+    _dark: dict[tuple[object, ...], dict[str, list[float]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         technologies = list(dict.fromkeys(curve.technology for curve in self.curves))
@@ -193,15 +196,20 @@ class StudyResult(Result):
         """Return `pixsim.viewer.dark_clip.dark_clip` for the pitches of a curve, a list for each of
         its numbers.
         """
-        clips = []
         times_s = curve.mean("integration_s").tolist()
+        key = curve.technology, *curve.pitch_um.tolist(), *times_s
+        if key in self._dark:
+            return self._dark[key]
+
+        clips = []
         for pitch_um, time_s in zip(curve.pitch_um.tolist(), times_s, strict=True):
             imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
             rate = white_rate(imaging, self.irradiance)
             pixel_um2 = collecting_area_um2(self.irradiance, self.camera, imaging.physics)
             area_um2 = pixel_um2 * imaging.readout.bin_side**2
             clips.append(dark_clip(imaging.readout, time_s, rate * area_um2 * time_s))
-        return {name: [clip[name] for clip in clips] for name in clips[0]}
+        self._dark[key] = {name: [clip[name] for clip in clips] for name in clips[0]}
+        return self._dark[key]
 
     def scores(
         self, technology: str, pitch_um: Pitch, repeats: Count | None = None
