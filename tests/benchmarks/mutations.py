@@ -181,6 +181,14 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "self.hot_median * np.exp(self.hot_spread * normal)",
         "self.hot_median / np.exp(self.hot_spread * normal)",
     ): "the logarithms of hot pixels are as often below their median as above it",
+    (
+        "pixsim/viewer/every_pixel.py",
+        "channel.shares * weight",
+        "(2 * (channel.shares * weight))",
+    ): "light is relative to white, whose shares are the same",
+    ("pixsim/sensor/correction.py", "len(layout.channels)", "(len(layout.channels)) + 1"): (
+        "no pixel has a channel beyond the last"
+    ),
 }
 
 

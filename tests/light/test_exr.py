@@ -105,21 +105,25 @@ def test_channels_of_fine_bands_have_the_energy_of_all(tmp_path: Path) -> None:
     check("energy", energy, wanted, atol=1e-5 * np.abs(wanted).max(), why="float32 of 8 terms")
 
 
-@pytest.mark.parametrize("make", [general, factored])
+@pytest.mark.parametrize("make", [general, factored, IMAGES["a margin"]])
 def test_channels_have_fichets_layout(make, tmp_path: Path) -> None:
-    """Read by the library of the format itself."""
+    """Read by the library of the format itself; a margin lies outside of the display window."""
     image = make()
     write_exr(tmp_path / "image.exr", image)
     names = [f"S0.{nm},000000nm" for nm in range(370, 821, 10)]
+    rows, columns = image.whole.shape
     with OpenEXR.File(str(tmp_path / "image.exr"), separate_channels=True) as file:
         assert file.header()["spectralLayoutVersion"] == "1.0"
         assert file.header()["emissiveUnits"] == "W.m^-2.nm^-1"
+        assert np.array_equal(
+            file.header()["displayWindow"], [(0, 0), np.subtract(image.shape, 1)[::-1]]
+        )
         planes = np.stack([file.channels()[name].pixels for name in names], axis=2)
-        line_bytes = 8 + 4 * 7 * len(file.channels())  # row and size, and 7 columns
-    assert np.array_equal(bits(planes), bits(image.data))
+        line_bytes = 8 + 4 * columns * len(file.channels())  # row and size, and the values
+    assert np.array_equal(bits(planes), bits(image.whole.data))
     content = (tmp_path / "image.exr").read_bytes()
-    line_at = len(content) - line_bytes * np.arange(5, 0, -1)  # five lines end the file
-    table = np.frombuffer(content[line_at[0] - 40 : line_at[0]], "<u8")
+    line_at = len(content) - line_bytes * np.arange(rows, 0, -1)  # the lines end the file
+    table = np.frombuffer(content[line_at[0] - 8 * rows : line_at[0]], "<u8")
     check("offsets of lines, by which other programs find them", table, line_at, why="exact")
 
 
@@ -205,6 +209,7 @@ def test_interrupted_write_leaves_old_file(tmp_path: Path, monkeypatch) -> None:
 
 
 EXR = struct.pack("<II", 20000630, 2)
+ATTRIBUTE = b"a\0b\0" + bytes(4)
 
 
 def header(*window: int, tile: int = 0) -> bytes:
@@ -233,6 +238,12 @@ FILES = [
     ("damaged", EXR + b"\xff" * 400, "damaged"),
     ("cut", EXR + b"channels\0chlist\0", "damaged"),
     ("deep", struct.pack("<II", 20000630, 2 | 0x800) + b"\0", "deep"),
+    ("no text", header(0, 0, 9, 9).replace(b"a\0\2", b"\xff\0\2"), "damaged header"),
+    ("short", EXR + ATTRIBUTE[:4] + struct.pack("<I", 3) + b"\0\0", "'a' of 3 bytes"),
+    ("many attributes", EXR + 4096 * ATTRIBUTE + b"\0", "more than 4096 attributes"),
+    ("as many as are allowed", EXR + 4095 * ATTRIBUTE + b"\0", "without channels"),
+    ("long name", EXR + 255 * b"a" + ATTRIBUTE + b"\0", "damaged header"),
+    ("as long as is allowed", EXR + 254 * b"a" + ATTRIBUTE + b"\0", "without channels"),
     ("several parts", struct.pack("<II", 20000630, 2 | 0x1000) + b"\0", "parts"),
     ("no channels", EXR + b"\0", "without channels"),
     ("absent", None, "does not exist"),

@@ -364,20 +364,22 @@ def ramps(shape: tuple[int, int], bands: int = 2, is_factored: bool = False) -> 
 
 
 @pytest.mark.parametrize(
-    ("shape", "bands", "columns"),
+    ("shape", "bands", "is_factored", "columns"),
     [
-        ((64, 64), 40, 64),  # fits: the same image
-        ((4, 2048), 2, 1024),  # too wide
-        ((30, 3000), 2, 1000),  # the largest number with whole samples in each mean
-        ((8, 8), 250, 4),  # 16 kB, below the 60 kB here; 64 kB before
-        ((101, 1999), 2, 970),  # prime: 49.01 rows
-        ((1, 3000), 2, 3000),  # every coarser sampling would cut off the only row
+        ((64, 64), 40, False, 64),  # fits: the same image
+        ((4, 2048), 2, False, 1024),  # too wide
+        ((30, 3000), 2, False, 1000),  # the largest number with whole samples in each mean
+        ((8, 8), 250, False, 4),  # 16 kB, below the 60 kB here; 64 kB before
+        ((2, 58), 250, True, 58),  # 58.9 kB of 125 merged bands and 2 factors
+        ((2, 60), 250, True, 30),  # 61 kB before
+        ((101, 1999), 2, False, 970),  # prime: 49.01 rows
+        ((1, 3000), 2, False, 3000),  # every coarser sampling would cut off the only row
     ],
 )
-def test_reduced_to_fit_holds_limits(shape, bands, columns, monkeypatch) -> None:
+def test_reduced_to_fit_holds_limits(shape, bands, is_factored, columns, monkeypatch) -> None:
     if bands == 250:
         monkeypatch.setattr(exr, "_MAX_REDUCED_BYTES", 60_000)
-    image = ramps(shape, bands)
+    image = ramps(shape, bands, is_factored)
     reduced = exr.reduced_to_fit(image)
     rows = reduced.shape[0]
     assert (reduced.shape[1], reduced is image) == (columns, columns == shape[1])

@@ -16,7 +16,7 @@ from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
 from pixsim.sensor.camera_data import camera_sensitivities
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.colour import Layout, channel_map
-from pixsim.sensor.correction import outliers, residual_variance_e2, without_defects
+from pixsim.sensor.correction import _rounding_e, outliers, residual_variance_e2, without_defects
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf
 from pixsim.sensor.dynamic_range import makers_range_db, readout_snr_db
 from pixsim.sensor.flicker import burst_modulation, clipped_light
@@ -1489,6 +1489,20 @@ CORRECTIONS = [
         "outliers are beyond 6 σ, by the median deviation, and none of equal values",
         lambda: [outliers(np.array([0.0] * 9 + [value]), 0.1).sum() for value in (0.0, 0.59, 0.61)],
         [0, 0, 1],
+    ),
+    Claim(
+        "of which 0.6745 σ is the median",
+        lambda: [
+            outliers(np.array([0.0, 1.0, 2.0, 3.0, 2.0 + value]), 0.1).sum()
+            for value in (6 / 0.67448 * 0.999, 6 / 0.67448 * 1.001)
+        ],
+        [0, 1],
+    ),
+    Claim(
+        "rounding leaves 1/√12 LSB in a frame, and a third of it in a mean of nine",
+        lambda: _rounding_e(readout(gain_e_per_dn=2.0), 9),
+        2 / math.sqrt(12 * 9),
+        rtol=1e-12,
     ),
 ]
 

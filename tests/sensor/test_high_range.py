@@ -83,17 +83,30 @@ def below_shot_noise(options: dict) -> int:
     return int(np.sum(level_variance_e2(readout, level_e, 0.0) < level_e))
 
 
-def burst_residuals(kind: str, level_e: float) -> list[float]:
+PATTERNS = {"prnu": 0.01, "dsnu": 0.3, "offset_fpn": 0.001, "column_fpn": 0.0003}
+
+
+def residuals_e2(readout: Readout, level_e: float, time_s: float, **frames: float) -> np.ndarray:
+    """What a correction leaves: noise, offsets, and the noise of flat frames or else the gains."""
+    left = residual_variance_e2(level_e, time_s, readout, Correction(**frames))
+    return np.array([left.temporal, left.offsets, left.flat or left.gain])
+
+
+def burst_residuals(kind: str, level_e: float) -> np.ndarray:
     """What flat frames leave in a burst of four exposures, over what they leave in one of them."""
-    patterns = {"prnu": 0.01, "dsnu": 0.3, "offset_fpn": 0.001, "column_fpn": 0.0003}
-    readout = Readout.of(derive(pixel(KINDS[kind][0] | {"merge": BEST}, **patterns, **DARK)))
-    burst, one = (
-        residual_variance_e2(
-            count * level_e, count * TIME_S, readout.burst(count), Correction(flat_frames=8)
-        )
-        for count in (4, 1)
+    readout = Readout.of(derive(pixel(KINDS[kind][0] | {"merge": BEST}, **PATTERNS, **DARK)))
+    burst = residuals_e2(readout.burst(4), 4 * level_e, 4 * TIME_S, flat_frames=8)
+    return burst / residuals_e2(readout, level_e, TIME_S, flat_frames=8)
+
+
+def residuals_of_faint_light(kind: str, **frames: int) -> np.ndarray:
+    """What a correction leaves of several readings, over what it leaves of the most sensitive."""
+    readout = Readout.of(derive(pixel(KINDS[kind][0], **PATTERNS, **DARK)))
+    merged, alone = (
+        residuals_e2(reading, 100.0, TIME_S, flat_level=600 / reading.saturation_e, **frames)
+        for reading in (readout, readout.readings[0].readout)
     )
-    return [burst.temporal / one.temporal, burst.offsets / one.offsets, burst.flat / one.flat]
+    return merged / alone
 
 
 LIMITED = {
@@ -225,6 +238,17 @@ NUMBERS = [
             ("two gains of one charge", DUAL, 0),
             ("two exposures", {"kind": "staggered", "ratio": 2.0}, 3),
         )
+    ),
+    *(
+        (
+            f"{frames} of {kind} leave of faint light what they leave of the reading that takes it",
+            lambda kind=kind, frames=frames: residuals_of_faint_light(kind, **frames),
+            np.ones(3),
+            6,
+        )
+        for kind in ("dual_gain", "overflow")
+        for dark in ({"column_clamp": 2}, {"column_clamp": 2, "dark_frames": 4})
+        for frames in (dark, dark | {"flat_frames": 3})
     ),
     # Noise of four exposures adds up by squares, their patterns add up.
     *(
@@ -603,8 +627,7 @@ def test_corrections_leave_the_patterns_of_other_readings(kind: str) -> None:
     """Those of dark frames, which the most sensitive reading takes, and of flat frames at half of
     the last one. The variance of 80 000 pixels scatters by 0.5 %.
     """
-    patterns = {"prnu": 0.01, "dsnu": 0.3, "offset_fpn": 0.001, "column_fpn": 0.0003}
-    sensor_pixel = pixel(KINDS[kind][0] | {"validity_sigmas": 6}, **patterns, **DARK)
+    sensor_pixel = pixel(KINDS[kind][0] | {"validity_sigmas": 6}, **PATTERNS, **DARK)
     frame = frame_of(sensor_pixel, KINDS[kind][1][-1])
     readout = Readout.of(derive(sensor_pixel))
     sensor = sample_sensor(readout, SHAPE, seeded(5))

@@ -143,10 +143,10 @@ def readout_of(**fields: float) -> Readout:
     return Readout.of(derive(Pixel(**QUIET | fields)))
 
 
-def ramp_on_sums_of_pixels(collection: Collection | None) -> np.ndarray:
+def ramp_on_sums_of_pixels(collection: Collection | None, **registration) -> np.ndarray:
     """Return a ramp of light on sums of 2 × 2 pixels of 4 µm, away from the borders."""
     colour = {"pattern": "quad_rggb", "binning": True, "quantum_efficiencies": FILTERS}
-    pixel = Pixel(technology="4t-bsi", pitch_um=4.0, colour=colour)
+    pixel = Pixel(technology="4t-bsi", pitch_um=4.0, colour=colour, **registration)
     scene = scene_of(light(1.0), CAMERA, pixel, DISPLAY)
     return at_every_pixel(2 * X[:64, :64] - Y[:64, :64], scene, derive(pixel), collection)[
         2:-2, 2:-2
@@ -188,6 +188,12 @@ CLAIMS = [
             ("without a stack", None),
             ("with even shares of the light around", Collection(EVEN, 2 * EVEN.sum(), 3.0)),
         )
+    ),
+    Claim(
+        "sums whose borders lie 1/4 and 3/4 of their side beside the axis",
+        lambda: ramp_on_sums_of_pixels(None, registration=(0.25, 0.75)),
+        2 * (MIDDLES[:-1] + 2 / 5) - (MIDDLES[:-1, None] + 6 / 5),
+        atol=1e-10,
     ),
     Claim(
         "headers of other programs state no share",
