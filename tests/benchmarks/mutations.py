@@ -133,6 +133,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "full_e - start_e",
         "full_e + start_e",
     ): "a wider table, whose means are off by 1e-4 of the noise instead of 7e-6",
+    ("pixsim/viewer/raw_metrics.py", "full_e - start_e", "(2 * (full_e - start_e))"): (
+        "a wider table as well"
+    ),
     ("pixsim/optics/camera_lens.py", "magnification - 1", "(2 * (magnification - 1))"): (
         "the largest of numbers is where the largest of twice these is"
     ),

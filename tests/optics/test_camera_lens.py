@@ -203,6 +203,10 @@ def is_usable(**fields: float) -> bool:
 
 OTF_CY_PER_MM = np.arange(200) / 8.0
 F16 = Camera(focal_length_mm=1.0, f_number=16.0, object_distance_m=1e6)
+RNG = np.random.default_rng(3)
+U, V = RNG.uniform(-0.7, 0.7, (2, 280))
+TERMS = np.array([U**a * V**b for a, b in powers()])
+VALUES = RNG.normal(size=280)
 KERNELS = [
     # The MTF of light beyond a radius r is z F(z), F' = -J0(z)/z². SciPy before 1.17 is wrong
     # beyond z = 20.
@@ -217,6 +221,45 @@ KERNELS = [
             why="quadrature",
         )
         for z in (0.5, 5.0, 19.0, 21.0, 60.0)
+    ),
+    Claim(
+        "least squares leave what LAPACK's do",
+        lambda: least_squares(TERMS, VALUES)[1],
+        VALUES - np.linalg.lstsq(TERMS.T, VALUES, rcond=None)[0] @ TERMS,
+        atol=1e-10,
+    ),
+    Claim(
+        "and fit as these",
+        lambda: least_squares(TERMS, VALUES)[0] @ TERMS,
+        np.linalg.lstsq(TERMS.T, VALUES, rcond=None)[0] @ TERMS,
+        atol=1e-9,
+    ),
+    Claim(
+        "the second of two equal terms has no coefficient",
+        lambda: least_squares(TERMS[[1, 1]], TERMS[1])[0],
+        [1.0, 0.0],
+        atol=1e-12,
+    ),
+    *(
+        Claim(
+            f"PSFs reach as far as tiles and points amid them: {cells} cells, {spacing} apart",
+            lambda cells=cells, spacing=spacing, psf_cells=psf_cells: max(
+                farthest_tile_um((cells, cells), 1.0, spacing, psf_cells),
+                (cells / 2 + 1.5 * spacing) * math.sqrt(2),  # around a corner that is amid tiles
+                *(
+                    math.hypot(*place) * spacing
+                    for place in distinct_tiles((cells + psf_cells - 1,) * 2, spacing)
+                ),
+            ),
+            farthest_tile_um((cells, cells), 1.0, spacing, psf_cells),
+        )
+        for cells, spacing, psf_cells in (
+            (128, 5, 9),
+            (96, 8, 17),
+            (9, 8, 3),
+            (40, 4, 33),
+            (1024, 43, 65),
+        )
     ),
     Claim(
         "the mean of a phase is its sinc",
@@ -296,19 +339,6 @@ KERNELS = [
 ]
 
 
-def test_least_squares_are_those_of_lapack() -> None:
-    rng = np.random.default_rng(3)
-    u, v = rng.uniform(-0.7, 0.7, (2, 280))
-    terms = np.array([u**a * v**b for a, b in powers()])
-    values = rng.normal(size=280)
-    coefficients, residuals = least_squares(terms, values)
-    right = np.linalg.lstsq(terms.T, values, rcond=None)[0]
-    check("residuals", residuals, values - right @ terms, atol=1e-10, why="rounding")
-    check("fit", coefficients @ terms, right @ terms, atol=1e-9, why="rounding")
-    twice, _ = least_squares(terms[[1, 1]], terms[1])
-    check("one of two equal terms", twice, [1.0, 0.0], atol=1e-12, why="rounding")
-
-
 def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
     """Phases of the pupil function are those of Σ c u^a v^b: a term left out is 0.1 at the rim."""
     exponents = powers()
@@ -327,20 +357,6 @@ def test_every_term_of_a_wavefront_is_in_the_pupil() -> None:
     numbers[-OUTLINE_ANGLES:] = 0.3 * np.cos(phi) + np.sqrt(1 - np.square(0.3 * np.sin(phi)))
     _, area = pupil_function(numbers, NM, 0.0, 0.1 / 40)
     check("area of a moved disc", area, np.pi * 40**2, rtol=2e-4, why="chords of 1° and samples")
-
-
-def test_psfs_reach_as_far_as_tiles_and_points_amid_them() -> None:
-    for cells, spacing, psf_cells in (
-        (128, 5, 9),
-        (96, 8, 17),
-        (9, 8, 3),
-        (40, 4, 33),
-        (1024, 43, 65),
-    ):
-        reach_um = farthest_tile_um((cells, cells), 1.0, spacing, psf_cells)
-        tiles = distinct_tiles((cells + psf_cells - 1,) * 2, spacing)
-        corner = (cells / 2 + 1.5 * spacing) * math.sqrt(2)  # around a corner that is amid tiles
-        assert max(corner, *(math.hypot(*place) * spacing for place in tiles)) <= reach_um
 
 
 @pytest.mark.parametrize("slope", [0.0, 2.0])
@@ -1025,23 +1041,30 @@ def test_each_part_of_a_tiling_has_its_share_of_the_tolerance(monkeypatch) -> No
         points.traced_light(2),
         channel_wavefronts(camera, nm, weight, Tiling(0.0, 0.0, 0.0, wavelengths=1, nodes=3)),
     ]
-    height_um = 3e3 * math.sqrt(2) * np.array([0, 0.25, 0.5, 0.7, 0.86, 0.97])
-    check("places", lights[0].fronts[0].height_um, height_um, rtol=1e-5, why="the traced circle")
+    check(
+        "places",
+        lights[0].fronts[0].height_um,
+        3e3 * math.sqrt(2) * np.array([0, 0.25, 0.5, 0.7, 0.86, 0.97]),
+        rtol=1e-5,
+        why="the traced circle",
+    )
     window = points.window(lights[1], 33)
     exact, two, interpolated = (points.transforms(light, window) for light in lights)
-    cut = _chosen_tiling(points, math.inf).cut_error
     chosen = [
         _chosen_tiling(points, side * tolerance)
         for tolerance in (
-            cut / 0.4,
+            _chosen_tiling(points, math.inf).cut_error / 0.4,
             points.error(interpolated, exact) / 0.2,
             points.error(exact, two) / 0.2,
         )
         for side in (1 + 1e-6, 1 - 1e-6)
     ]
-    counts = [(tiling.wavelengths, tiling.nodes, tiling.psf_um / 4) for tiling in chosen]
-    wanted = [(1, 3, 9), (1, 3, 17), (1, 3, 17), (1, 5, 17), (1, 5, 17), (2, 5, 17)]
-    check("wavelengths, nodes, cells", counts, wanted, why="the fewest")
+    check(
+        "wavelengths, nodes, cells",
+        [(tiling.wavelengths, tiling.nodes, tiling.psf_um / 4) for tiling in chosen],
+        [(1, 3, 9), (1, 3, 17), (1, 3, 17), (1, 5, 17), (1, 5, 17), (2, 5, 17)],
+        why="the fewest",
+    )
 
 
 def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
@@ -1050,8 +1073,12 @@ def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
     """
     points = _TestPoints(Camera(die_mm=6.0), (1200, 2400), 2.5, np.ones(1), np.ones(1), 5.0)
     vars(points).update(bins=2, heights_um=4e3 * np.array([0.0, 0.25, 0.5, 0.7, 0.86, 0.97]))
-    grid_cells = [points.grid_cells(9), points.grid_cells(33)]
-    check("cells of twice the size", grid_cells, [5, 17], why="odd, with as many on each side")
+    check(
+        "cells of twice the size",
+        [points.grid_cells(9), points.grid_cells(33)],
+        [5, 17],
+        why="odd, with as many on each side",
+    )
     exact = np.ones((6, 8, 5), complex)
     cells_at_points: list[int] = []
     for name, value in {
@@ -1065,11 +1092,16 @@ def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
         tiling = _with_fewest_tiles(points, Tiling(0.0, 165.0, 0.0), exact, 2e-4, tolerance)
         got.append((tiling.spacing_um / 2.5, tiling.error, tiling.worst, sum(cells_at_points) / 33))
         cells_at_points.clear()
-    wanted = [
-        (spacing, 2e-4 + (spacing / 1000) ** 3, 2e-4 + (spacing / 1000) ** 3, computed)
-        for spacing, computed in ((100, 6), (75, 6 + 6), (50, 2 + 6), (38, 2 + 2 + 6))
-    ]
-    check("spacing, errors and points that were computed", got, wanted, rtol=1e-9, why="rounding")
+    check(
+        "spacing, errors and points that were computed",
+        got,
+        [
+            (spacing, 2e-4 + (spacing / 1000) ** 3, 2e-4 + (spacing / 1000) ** 3, computed)
+            for spacing, computed in ((100, 6), (75, 6 + 6), (50, 2 + 6), (38, 2 + 2 + 6))
+        ],
+        rtol=1e-9,
+        why="rounding",
+    )
 
 
 def test_psfs_of_a_coarse_film_lose_more_than_the_tolerance() -> None:
