@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import blake2b
@@ -71,6 +71,7 @@ _TURNED_MARGIN = 48
 # cells.
 _PADDING = 1.5
 _SPLINE_COEFFICIENTS = 4  # of a cubic spline that are not 0 at a place: two on each side of it
+_MIRRORED_PLACES = 4  # of a picture's 4 × 4 parts, in a quarter
 RADIAL_STEPS = 2  # of PSFs along the radius, from tile to tile
 # So that calls of NumPy are long enough for threads, and their tables fit into the L2 cache
 _POINTS_PER_CALL = 4
@@ -705,7 +706,10 @@ class RadialPsfs:
     _splines: dict[int, NDArray[np.complex64]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
-    _locks: defaultdict[int, Lock] = field(
+    _spectra_of_places: dict[Hashable, NDArray[np.complex128]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _locks: defaultdict[Hashable, Lock] = field(
         default_factory=lambda: defaultdict(Lock), init=False, repr=False, compare=False
     )
 
@@ -716,8 +720,9 @@ class RadialPsfs:
 
     @property
     def cached_bytes(self) -> int:
-        """Memory of the points that are computed."""
-        return sum(spline.nbytes for spline in list(self._splines.values()))
+        """Memory of the points and spectra that are computed."""
+        arrays = [*self._splines.values(), *self._spectra_of_places.values()]
+        return sum(array.nbytes for array in arrays)
 
     def spline(self, point: int) -> NDArray[np.complex64]:
         """Return the coefficients of a point, computed once."""
@@ -836,7 +841,7 @@ class RadialPsfs:
         down = max(rows for rows, _ in ends)
         across = max(columns for _, columns in ends)
         light, pitch_um = films[0]
-        (spectrum,) = self._spectra([(x_um, y_um)], pitch_um, light.shape, (down, across))
+        spectrum = self._spectrum(x_um, y_um, pitch_um, light.shape, (down, across))
 
         blurred = []
         for (light, _), (rows, columns) in zip(films, ends, strict=True):
@@ -844,6 +849,29 @@ class RadialPsfs:
             on_film = _sampled_on_film(low[:, : columns + 1], light.shape)
             blurred.append(np.asarray(irfft2(rfft2(light) * on_film, light.shape)))
         return blurred
+
+    def _spectrum(
+        self,
+        x_um: float,
+        y_um: float,
+        pitch_um: float,
+        shape: tuple[int, ...],
+        ends: tuple[int, ...],
+    ) -> NDArray[np.complex128]:
+        """Return one of `_spectra`. Those of the last places serve for their mirror images too."""
+        key = abs(x_um), abs(y_um), pitch_um, shape, ends
+        with self._locks[key]:
+            spectrum = self._spectra_of_places.get(key)
+            if spectrum is None:
+                (spectrum,) = self._spectra([(abs(x_um), abs(y_um))], pitch_um, shape, ends)
+                for oldest in list(self._spectra_of_places)[: 1 - _MIRRORED_PLACES]:
+                    self._spectra_of_places.pop(oldest, None)
+                self._spectra_of_places[key] = spectrum
+
+        # In mirrored columns the PSF has the conjugate transform of the one in mirrored rows.
+        if (x_um < 0) != (y_um < 0):
+            spectrum = spectrum[-np.arange(len(spectrum))]
+        return spectrum.conj() if x_um < 0 else spectrum
 
 
 def _spline_values(

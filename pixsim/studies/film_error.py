@@ -69,6 +69,7 @@ FINER_FILMS = ((1, 1), (3, 2), (2, 1))  # films of more samples: each is repeate
 _MEASURED_FINER_CELLS = MEASURED // 16
 # More of them where pixels or dots are so large that the parts are, too.
 _MAX_FINER_CELLS = 4 * _MEASURED_FINER_CELLS
+_NUMBERS_PER_CELL = 16  # in arrays that an evaluation computes, at least
 _SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
 _STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from the picture's mean
 # Orders of convergence of cell means: at edges, and where the picture is smooth.
@@ -904,14 +905,11 @@ class BehindLens:
                 pictures.append((coarser(finer, 2), halo // 2))
             return self._lights(pictures, patches[number])
 
-        patch_lights = list(
-            zip(
-                *_mapped_in_threads(
-                    on_films, len(patches), films * _cells_at_once(self.image), progress
-                ),
-                strict=True,
-            )
+        cells = sum(
+            (rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in patches
         )
+        lights = _mapped_in_threads(on_films, len(patches), _numbers_at_once(cells), progress)
+        patch_lights = list(zip(*lights, strict=True))
         if regions:
             return [list(lights) for lights in patch_lights]
         across = len({columns.start for _, columns in patches})
@@ -986,7 +984,8 @@ def _finer_delta_e(
         return fine, lens.part_lights(parts[number], fine)
 
     cells = len(FINER_FILMS) * sum(math.prod(part.image.shape) for part in parts)
-    images, lights = zip(*_mapped_in_threads(on_films, len(parts), cells), strict=True)
+    results = _mapped_in_threads(on_films, len(parts), _numbers_at_once(cells))
+    images, lights = zip(*results, strict=True)
     films = [
         [(image, part.display) for image, part in zip(film, parts, strict=True)]
         for film in zip(*images, strict=True)
@@ -994,12 +993,11 @@ def _finer_delta_e(
     return delta_e_on_films(films, list(zip(*lights, strict=True)), imaging, progress, noise)
 
 
-def _cells_at_once(image: SpectralImage) -> int:
-    """Return the number of cells of a picture; 0 if several evaluations of it do not fit into
-    memory at once.
+def _numbers_at_once(cells: int) -> int:
+    """Return the numbers that evaluations of so many cells compute, for `in_threads`; 0 if several
+    do not fit into memory at once.
     """
-    cells = math.prod(image.shape)
-    return cells if cells <= MEASURED else 0
+    return _NUMBERS_PER_CELL * cells if cells <= MEASURED else 0
 
 
 Film = Sequence[tuple[SpectralImage, Display]]  # the parts of a picture on a film
@@ -1041,7 +1039,7 @@ def delta_e_on_films(
         step_done()
 
     cells = sum(math.prod(part.shape) for part, _ in films[0])
-    in_threads(measure, range(len(films)), len(films) * (cells if cells <= MEASURED else 0))
+    in_threads(measure, range(len(films)), len(films) * _numbers_at_once(cells))
     return delta_e
 
 
@@ -1060,7 +1058,8 @@ def chains_of_film(
         on_part = imaging.changed(display=display)
         return make_chain(on_part, prepare_scene(on_part, SceneLight(part), lights=lights[number]))
 
-    chains = _mapped_in_threads(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
+    cells = sum(math.prod(part.shape) for part, _ in film)
+    chains = _mapped_in_threads(prepare, len(film), _numbers_at_once(cells))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
     if steady.gain_db == "auto":
         steady = with_metered_gain(steady, imaging.readout, brightest_e_per_s)
