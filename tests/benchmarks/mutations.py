@@ -192,6 +192,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/correction.py", "len(layout.channels)", "(len(layout.channels)) + 1"): (
         "no pixel has a channel beyond the last"
     ),
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "_MAX_WELLS * max(limit_e, 1.0)",
+        "(2 * (_MAX_WELLS * max(limit_e, 1.0)))",
+    ): "where a search gives up that ends long before",
 }
 
 

@@ -467,6 +467,25 @@ CODES = [
     ),
     *(
         Claim(
+            f"a full well has the saturation capacity of {capacity_e:g} e- that it was solved for",
+            lambda capacity_e=capacity_e, range_e=range_e, noise=noise: saturation_capacity_e(
+                full_well_for_e(capacity_e, range_e, *noise), range_e, *noise
+            ),
+            capacity_e,
+            rtol=1e-4,
+            why="as the search promises",
+        )
+        for capacity_e, range_e, noise in (
+            (300.0, None, (2.3, 0.0, 0.0)),
+            (10_500.0, None, (6.8, 0.005, 2.0)),
+            (32_691.0, None, (30.0, 0.05, 0.0)),
+            (10_000.0, 20_000.0, (2.0, 0.0, 0.0)),  # the ADC ends far above
+            (1.0, None, (30.0, 0.3, 10.0)),  # a variance with several peaks
+            (2e5, None, (5.0, 0.2, 0.0)),
+        )
+    ),
+    *(
+        Claim(
             f"a pixel has the stated saturation capacity, {name}",
             lambda fields=fields: capacity_again_e(**fields) / fields["saturation_capacity_e"],
             1.0,

@@ -28,7 +28,6 @@ from pixsim.sensor.noise import SOURCES, Along, NoiseSource
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NUMBERS, Pixel
 from pixsim.sensor.reading import Readout, dark_spread_e
-from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.viewer.dark_clip import dark_clip
 
 SHAPE = (4, 100_000)
@@ -507,28 +506,6 @@ def test_soft_well_has_lost_a_millionth_at_its_linear_limit(integration_s: float
     for factor in (1.01, 1.02):
         photodiode.stored_signal_e(factor * dim_e, integration_s, readout)
     assert photodiode.level_table.cache_info() == (1, 1, 64, 1)
-
-
-# --- Saturation capacity
-
-
-@pytest.mark.parametrize(
-    ("capacity_e", "adc_range_e", "noise"),
-    [
-        (300.0, None, (2.3, 0.0, 0.0)),
-        (10_500.0, None, (6.8, 0.005, 2.0)),
-        (32_691.0, None, (30.0, 0.05, 0.0)),
-        (10_000.0, 20_000.0, (2.0, 0.0, 0.0)),  # the ADC ends far above
-        (1.0, None, (30.0, 0.3, 10.0)),  # a variance with several peaks
-        (2e5, None, (5.0, 0.2, 0.0)),
-    ],
-)
-def test_full_well_inverts_the_saturation_capacity(
-    capacity_e: float, adc_range_e: float | None, noise: tuple[float, float, float]
-) -> None:
-    well_e = full_well_for_e(capacity_e, adc_range_e, *noise)
-    assert well_e > capacity_e
-    assert saturation_capacity_e(well_e, adc_range_e, *noise) == pytest.approx(capacity_e, rel=1e-4)
 
 
 PIXEL = pixsim.Pixel(

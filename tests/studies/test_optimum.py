@@ -90,6 +90,7 @@ STEEP_PAIR = np.array([[0.5, 1.5], [5.0, 9.0]])
 PLACES = np.linspace(0, 1, 11)
 VERTICES = np.array([0.123, 0.5, 0.931])
 TWO = np.array([0.0, 1.0])
+FLANK, FLANK_UM = np.array([1.06, 1.0, 1.5, 2.0, 2.3, 2.4, 2.45]), np.geomspace(2, 10, 7)
 CLAIMS = [
     Claim(
         "a parabola's lines through its points at ±2 and ±1 reach 0 at ±2/3",
@@ -113,6 +114,11 @@ CLAIMS = [
         lambda: convex_range(X, X**2, np.full(7, 0.5)),
         [-1.4, 1.4],
         rtol=1e-12,
+    ),
+    Claim(
+        "the smallest of two equally good sizes may lie above the minimum: it is open",
+        lambda: np.equal(fitted(FLANK, 0.05, pitch_um=FLANK_UM).optimum.interval_um, None) + 0,
+        [1, 0],
     ),
     Claim(
         "scatter is pooled: squares of 2 · 1² and 2 · 1², of 2² + 4² expected at 100 %",
@@ -370,12 +376,6 @@ def test_fit_curve_level_has_no_minimum(level: float) -> None:
     optimum = fit_curve(PITCH_UM, np.full((PITCH_UM.size, 2), level)).optimum
     assert (optimum.interval_um, optimum.inside) == ((None, None), False)
     assert optimum.mean_delta_e == pytest.approx(level, rel=1e-6)
-
-
-def test_fit_curve_beside_a_flank_at_the_smallest_size_is_open() -> None:
-    """The two smallest sizes are equally good: the minimum may lie below them."""
-    mean = np.array([1.06, 1.0, 1.5, 2.0, 2.3, 2.4, 2.45])
-    assert fitted(mean, 0.05, pitch_um=np.geomspace(2, 10, 7)).optimum.interval_um[0] is None
 
 
 def test_fit_curve_flat_line_is_open() -> None:
