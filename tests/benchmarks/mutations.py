@@ -133,6 +133,22 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "full_e - start_e",
         "full_e + start_e",
     ): "a wider table, whose means are off by 1e-4 of the noise instead of 7e-6",
+    (
+        "pixsim/sensor/collection.py",
+        "stated - transmitted",
+        "(2 * (stated - transmitted))",
+    ): "the largest of numbers is where the largest of twice these is",
+    **{
+        ("pixsim/viewer/raw_metrics.py", f"{moment} / total", f"{moment} * total"): (
+            "weights of charges add up to 1 within 2e-9"
+        )
+        for moment in (
+            "(integral(mean) + full * full_mean)",
+            "(integral(variance + mean**2) + full * full_square)",
+            "(integral(slope) + full * full_slope)",
+            "(below + full_wells)",
+        )
+    },
     ("pixsim/viewer/raw_metrics.py", "full_e - start_e", "(2 * (full_e - start_e))"): (
         "a wider table as well"
     ),

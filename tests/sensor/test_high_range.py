@@ -43,6 +43,7 @@ from pixsim.viewer.denoising.variance_table import VarianceTable
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.noise_budget import noise_budget
+from pixsim.viewer.raw_metrics import full_e
 
 
 def snr(sensor: Pixel, charge_e: float, reading: str | None = None) -> float:
@@ -249,6 +250,12 @@ NUMBERS = [
         for kind in ("dual_gain", "overflow")
         for dark in ({"column_clamp": 2}, {"column_clamp": 2, "dark_frames": 4})
         for frames in (dark, dark | {"flat_frames": 3})
+    ),
+    (
+        "a split pixel is full where charge of light and dark fills its small photodiode",
+        lambda: full_e(Readout.of(derive(pixel(KINDS["split"][0]))), TIME_S),
+        (7900 - 80 * 0.1) / 0.01,
+        6,
     ),
     # Noise of four exposures adds up by squares, their patterns add up.
     *(

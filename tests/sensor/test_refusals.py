@@ -115,7 +115,7 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: in_light(
             derive(pixel(pitch_um=2.0, fill_factor=0.2, quantum_efficiency=0.9, stack=LENS))
         ),
-        "quantum efficiency.*0.9 .*at most 0.*quantum_efficiency_f_number",
+        "quantum efficiency.*0.9 at 700 nm.*at most 0.*quantum_efficiency_f_number",
     ),
     "QE measured on a pixel without photodiode": (
         lambda: in_light(
