@@ -188,8 +188,21 @@ NEAR_0 = {"black_level_dn": 0.0, "prnu": 0.02, "offset_fpn": 2e-4}
 
 
 def burst_frame(**fields: float) -> ExpectedFrame:
-    chain = chain_of(pixel=PIXEL.model_copy(update=NEAR_0 | fields))
+    """Return a frame of four exposures, whose codes begin at the dark and end beyond the well."""
+    chain = chain_of(pixel=PIXEL.model_copy(update=NEAR_0 | {"gain_e_per_dn": 6.0} | fields))
     return replace(chain, readout=chain.readout.burst(4)).expected(TIME_S)
+
+
+# Four times the charge of an exposure, less its 10 e- of dark charge.
+FAINT = burst_frame(prnu=0.0, offset_fpn=0.0, dark_current_e_per_s=2e3)
+FAINT_E = 4 * ((6**2 + math.sqrt(6**4 + 4 * 6**2 * 4**2)) / 2 - 10)
+BRIGHT_E = 4 * (((math.sqrt(6**2 + 4 * 20_000) - 6) / 2) ** 2 - 10)
+
+
+def full_burst() -> list[float]:
+    """Mean at the end of a table, and slopes at its beginning and its end."""
+    table = top_table(burst_frame(dark_current_e_per_s=1e5, prnu=0.1), 8e4)
+    return [table.mean_e[-1], *table.signal_slope[[0, 1, -1]]]
 
 
 def slope_ratios(fields: dict) -> list[np.ndarray]:
@@ -325,10 +338,21 @@ CLAIMS = [
     ),
     Claim(
         "full exposures of a burst have their wells less their dark charge",
-        lambda: top_table(burst_frame(dark_current_e_per_s=1e5), 8e4).mean_e[-1],
-        4 * 20_000 - 1e5 * TIME_S,
-        rtol=3e-4,
-        why="the top code cuts off half of the read noise",
+        full_burst,
+        [4 * 20_000 - 1e5 * TIME_S, 1.0, 1.0, 0.0],
+        rtol=1e-6,
+        why="rounding of codes",
+    ),
+    Claim(
+        "tables are made where 6 σ of an exposure, c = 6 √(c + 4²) and w - 6 √c, reach its ends",
+        lambda: [
+            [
+                bottom_table(FAINT, factor * FAINT_E) is None,
+                top_table(FAINT, factor * BRIGHT_E) is None,
+            ]
+            for factor in (1 - 1e-9, 1 + 1e-9)
+        ],
+        [[0, 1], [1, 0]],
     ),
     Claim(
         "a blurred target of a contrast of -0.5, which is -0.05 in the light, ends at twice as much",
