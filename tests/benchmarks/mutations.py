@@ -213,14 +213,16 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "_MAX_WELLS * max(limit_e, 1.0)",
         "(2 * (_MAX_WELLS * max(limit_e, 1.0)))",
     ): "where a search gives up that ends long before",
-    ("pixsim/viewer/raw_metrics.py", "full_e - start_e", "(2 * (full_e - start_e))"): (
-        "a wider table, whose means err by 1e-5 of the noise as well"
-    ),
     (
         "pixsim/viewer/raw_metrics.py",
         "1e3 / frame.readout.physics.read_pitch_um",
         "(2 * (1e3 / frame.readout.physics.read_pitch_um))",
     ): "a table up to twice the frequency, off by 3e-5 instead of 6e-6 between its steps",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
+        "(2 * (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)))",
+    ): "the moments behind a well that holds all charge are those without one",
 }
 
 

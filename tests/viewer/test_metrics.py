@@ -46,6 +46,7 @@ from pixsim.viewer.raw_metrics import (
     _check_rounding,
     _ClippedExposure,
     _d_prime,
+    _line_variance_e2,
     _mtf_along,
     bottom_table,
     code_moments,
@@ -161,12 +162,16 @@ def stated_disc() -> ImagingChain:
     return chain_of(disc, background=UNIFORM, metrics=request("detectability", **ONE_REGISTRATION))
 
 
+STATED = PIXEL.model_dump(exclude_unset=True)
+SPARSE = STATED | {"pitch_um": 100.0, "fill_factor": 0.01}
+LINED = {"prnu": 0.01, "row_noise_e": 8.0, "column_fpn": 12.0 / 20_000}
+
+
 def table_of_two_exposures() -> list[float]:
     """Mean and variance, less the shot noise of 1/16 of the light, at the start of a table; the
     mean at its end.
     """
-    fields = PIXEL.model_dump(exclude_unset=True)
-    pixel = Pixel(**fields, readout={"kind": "staggered", "ratio": 16.0})
+    pixel = Pixel(**STATED, readout={"kind": "staggered", "ratio": 16.0})
     table = top_table(chain_of(pixel=pixel).expected(TIME_S), 1e6)
     fixed_e2 = table.variance_e2[0] - 16 * table.signal_e[0]
     return [
@@ -336,6 +341,25 @@ CLAIMS = [
         rtol=1e-4,
         why="the well and the top code cut off some of the noise at both ends",
     ),
+    *(
+        Claim(
+            f"noise of pixels and of lines of 1000 e- {name}",
+            lambda fields=fields: [
+                part(Readout.of(derive(Pixel(**STATED | LINED | fields))), 1000.0, TIME_S)
+                for part in (variance_of_pixels_e2, _line_variance_e2)
+            ],
+            [1000 + 16 + 10**2 + (20_000 / (4095 - 64)) ** 2 / 12, 8**2 + 12**2],
+            rtol=1e-6,
+            why="noise that has a reading at its limit",
+        )
+        for name, fields in (
+            ("of one reading", {}),
+            (
+                "that the longer of two exposures takes",
+                {"readout": {"kind": "staggered", "ratio": 16.0}},
+            ),
+        )
+    ),
     Claim(
         "full exposures of a burst have their wells less their dark charge",
         full_burst,
@@ -361,6 +385,12 @@ CLAIMS = [
             for factor in (1.9, 2.1)
         ],
         [0, 1],
+    ),
+    Claim(
+        "MTF50 of apertures of a tenth of the pitch: more than 4 cycles a pixel, the table's end",
+        lambda: numbers_of(chain_of(pixel=Pixel(**SPARSE), metrics=request("mtf50")), "mtf50"),
+        [40.0],
+        rtol=1e-12,
     ),
     Claim(
         "codes far from both ends have no table",
