@@ -226,6 +226,23 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
         "(2 * (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)))",
     ): "the moments behind a well that holds all charge are those without one",
+    ("pixsim/optics/lens.py", "slope_x * stop_x", "(2 * (slope_x * stop_x))"): (
+        "rays are aimed from another first guess at the same points"
+    ),
+    (
+        "pixsim/optics/lens.py",
+        "step_mm * self.stop_semi_diameter_mm",
+        "(2 * (step_mm * self.stop_semi_diameter_mm))",
+    ): "rays are aimed from another first guess at the same points",
+    ("pixsim/optics/lens.py", "_RINGS * _SPOKES", "(2 * (_RINGS * _SPOKES))"): (
+        "half as many rays at once"
+    ),
+    ("pixsim/optics/lens.py", "_OUTLINE_STEPS[0] * edge", "(2 * (_OUTLINE_STEPS[0] * edge))"): (
+        "the same edge, between places farther apart"
+    ),
+    ("pixsim/optics/lens.py", "_ROOT_STEPS", "(_ROOT_STEPS) + 1"): (
+        "one more step towards a root that is reached long before"
+    ),
 }
 
 
