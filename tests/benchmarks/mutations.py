@@ -243,6 +243,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/lens.py", "_ROOT_STEPS", "(_ROOT_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),
+    ("pixsim/optics/lens.py", "height - 1", "(2 * (height - 1))"): "the same root",
+    (
+        "pixsim/optics/lens.py",
+        "_OUTLINE_START / self.first_order(self.primary_nm).f_number",
+        "(2 * (_OUTLINE_START / self.first_order(self.primary_nm).f_number))",
+    ): "the same edge, predicted by another first step",
 }
 
 

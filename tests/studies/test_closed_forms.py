@@ -13,7 +13,7 @@ from helpers.film_pictures import light
 from scipy import stats
 from scipy.special import ndtri
 
-from pixsim import Display, Study
+from pixsim import Display, Study, load_technology
 from pixsim.base.arrays import MEASURED
 from pixsim.report.axes import regrets_columns
 from pixsim.report.regret import condition_regrets_data, regrets_data, regrets_plate
@@ -30,7 +30,15 @@ from pixsim.studies.regret import (
     weighted_mean,
 )
 from pixsim.studies.settings import Axis
-from pixsim.studies.uncertainty import first_order, ratio_of_means, saltelli, total_indices
+from pixsim.studies.uncertainty import (
+    Probability,
+    few_pitches_um,
+    first_order,
+    ratio_of_means,
+    saltelli,
+    total_indices,
+    unknowns_of_technology,
+)
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
@@ -156,6 +164,7 @@ METRIC_CURVE = partial(
 )
 SPLINE = "the spline between nine sizes has an error of 0.3 % of the size"
 
+VOLTAGES = {"voltage_swing_v": (0.9, 2.2), "reset_voltage_v": (1.2, 3.0)}
 CLAIMS = [
     Claim(
         "weights of conditions are shares of their sum",
@@ -442,6 +451,52 @@ SHARES = [
         [0.3139, 0.02],
         atol=0.1,
         why="three standard errors of 256 points",
+    ),
+    *(
+        Claim(
+            f"Jeffreys' interval of {holds} of {draws} draws",
+            lambda holds=holds, draws=draws: [
+                getattr(Probability.of(np.arange(draws) < holds), name)
+                for name in ("probability", "low", "high")
+            ],
+            [
+                holds / draws,
+                stats.beta.ppf(0.025, holds + 0.5, draws - holds + 0.5) if holds else 0.0,
+                stats.beta.ppf(0.975, holds + 0.5, draws - holds + 0.5) if holds < draws else 1.0,
+            ],
+            rtol=1e-9,
+        )
+        for holds, draws in ((0, 64), (1, 64), (64, 64), (250, 256))
+    ),
+    *(
+        Claim(
+            f"two sensors at twelve sizes around {interval_um}",
+            lambda optimum_um=optimum_um, interval_um=interval_um: [
+                *few_pitches_um(optimum_um, interval_um, (1.0, 18.0)).items()
+            ],
+            np.stack([np.geomspace(*ends_um, 12), np.full(12, 2)], axis=1),
+            rtol=1e-4,
+            why="stated digits",
+        )
+        for optimum_um, interval_um, ends_um in (
+            (6.0, (5.8, 6.2), (3.0, 12.0)),  # at least a factor of two
+            (6.0, (4.5, 7.0), (6 * 0.75**3, 6 / 0.75**3)),  # three times the half interval
+            (6.0, (5.8, None), (1.5, 18.0)),  # four times, within the range
+            (1.0, (None, 1.1), (1.0, 4.0)),
+            (18.0, (17.0, None), (4.5, 18.0)),
+        )
+    ),
+    Claim(
+        "a swing above the reset voltage is no pixel: ranges end in the middle between both values",
+        lambda: np.diag(
+            [
+                unknown.allowed[::-1]
+                for unknown in unknowns_of_technology(
+                    load_technology("0.35um").model_copy(update={"ranges": VOLTAGES}), "mine"
+                )
+            ]
+        ),
+        [(1.2 + 2.2) / 2] * 2,
     ),
     Claim(
         "nothing that varies: all shares are unknown",

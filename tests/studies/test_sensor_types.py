@@ -35,10 +35,8 @@ from pixsim.studies.uncertainty import (
     NORMAL_95,
     SCATTER,
     TYPES_FILE,
-    Probability,
     UncertaintyResult,
     Unknown,
-    few_pitches_um,
     sample_of,
     sample_types,
     settings_of,
@@ -209,14 +207,6 @@ def test_optima_at_an_end_count_as_that_size(tried_um: tuple[float, float], shar
     assert ({row[1] for row in shares_table(result).rows} == {"unknown"}) == (share == 1.0)
 
 
-@pytest.mark.parametrize(("holds", "draws"), [(0, 64), (1, 64), (64, 64), (250, 256)])
-def test_probability_is_jeffreys_interval(holds: int, draws: int) -> None:
-    result = Probability.of([True] * holds + [False] * (draws - holds))
-    low, high = stats.beta.ppf([0.025, 0.975], holds + 0.5, draws - holds + 0.5)
-    expected = (holds / draws, low if holds else 0.0, high if holds < draws else 1.0)
-    assert (result.probability, result.low, result.high) == pytest.approx(expected, rel=1e-9)
-
-
 # --- inputs
 
 
@@ -310,13 +300,6 @@ def test_unknowns_of_technology_draw_valid_technologies(
         assert technology.with_numbers(numbers, "here").numbers != technology.numbers
 
 
-def test_ranges_of_swing_and_reset_voltage_are_cut_at_the_middle_between_both_values() -> None:
-    """A swing above the reset voltage is no pixel."""
-    technology = pixsim.load_technology("0.35um").model_copy(update={"ranges": VOLTAGES})
-    swing, reset = (unknown.allowed for unknown in unknowns_of_technology(technology, "mine"))
-    assert swing[1] == reset[0] == (1.2 + 2.2) / 2
-
-
 def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs() -> None:
     """0.9 at 600 nm: 5 µm of silicon absorb 0.876 of that light, too little for it, and 10 µm
     0.985, where draws end.
@@ -401,24 +384,6 @@ def test_results_repeat_bit_for_bit_and_are_written() -> None:
 
 
 # --- the pitches of each type
-
-
-@pytest.mark.parametrize(
-    ("optimum_um", "interval_um", "ends_um"),
-    [
-        (6.0, (5.8, 6.2), (3.0, 12.0)),  # at least a factor of two
-        (6.0, (4.5, 7.0), (6 * 0.75**3, 6 / 0.75**3)),  # three times the half interval
-        (6.0, (5.8, None), (1.5, 18.0)),  # four times, within the range
-        (1.0, (None, 1.1), (1.0, 4.0)),
-        (18.0, (17.0, None), (4.5, 18.0)),
-    ],
-)
-def test_few_pitches_um(
-    optimum_um: float, interval_um: tuple[float | None, float | None], ends_um: tuple[float, float]
-) -> None:
-    sensors = few_pitches_um(optimum_um, interval_um, (1.0, 18.0))
-    assert list(sensors.values()) == [2] * 12
-    np.testing.assert_allclose(list(sensors), np.geomspace(*ends_um, 12), rtol=1e-4)
 
 
 NAMES = ["0.35um", "0.25um"]
