@@ -149,6 +149,14 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "(below + full_wells)",
         )
     },
+    (
+        "pixsim/sensor/pixel.py",
+        "E_PER_FC * self.capacitance_ff(self.reset_voltage_v)",
+        "E_PER_FC / self.capacitance_ff(self.reset_voltage_v)",
+    ): "Newton's method from another start ends in the same root",
+    ("pixsim/sensor/saturation.py", "above - below", "above + below"): (
+        "the search for the highest peak finds the same well, in fifteen times the time"
+    ),
     ("pixsim/viewer/raw_metrics.py", "full_e - start_e", "(2 * (full_e - start_e))"): (
         "a wider table as well"
     ),

@@ -373,6 +373,7 @@ def ramps(shape: tuple[int, int], bands: int = 2, is_factored: bool = False) -> 
         ((2, 58), 250, True, 58),  # 58.9 kB of 125 merged bands and 2 factors
         ((2, 60), 250, True, 30),  # 61 kB before
         ((101, 1999), 2, False, 970),  # prime: 49.01 rows
+        ((303, 1536), 2, False, 1024),  # 202 rows of 1.5 samples: nothing is cut off
         ((1, 3000), 2, False, 3000),  # every coarser sampling would cut off the only row
     ],
 )

@@ -783,8 +783,13 @@ STACKS_IN_CLOSED_FORM = [
     Claim("E(u) of a slit", lambda: 2 * stacks.spot_integral(np.array(0.6 / SPOT)) - 1, LINE[2], atol=1e-12),
     Claim(
         "aperture under a microlens is the pitch",
-        lambda: aperture_mtf(Stack(6.5, 3.56, 8.0, 1.5), PUPILS, [0.0, NYQUIST, 2 * NYQUIST]),
-        [[1, 2 / math.pi, 0]] * 2,
+        lambda: aperture_mtf(
+            Stack(6.5, 3.56, 8.0, 1.5),
+            PUPILS,
+            [0.0, NYQUIST, 2 * NYQUIST, NYQUIST],
+            [0.0, 0.0, 0.0, NYQUIST],
+        ),
+        [[1, 2 / math.pi, 0, 4 / math.pi**2]] * 2,
         atol=1e-15,
     ),
     Claim(

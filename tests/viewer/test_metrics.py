@@ -58,7 +58,7 @@ from pixsim.viewer.raw_metrics import (
     top_table,
     variance_of_pixels_e2,
 )
-from pixsim.viewer.shown_metrics import _expected_light
+from pixsim.viewer.shown_metrics import _expected_light, _raw_noise
 
 CELL_UM = 2.0
 WHITE_CD_PER_M2 = 100.0
@@ -210,6 +210,19 @@ def full_burst() -> list[float]:
     return [table.mean_e[-1], *table.signal_slope[[0, 1, -1]]]
 
 
+def noise_of_lines(end: dict) -> np.ndarray:
+    """Return the noise of rows and of columns, of 20 e- each, over that and the mean square of the
+    slopes of codes, in uniform light that fills the range.
+    """
+    fields = SMALL_WELL | end | {"row_noise_e": 20.0}
+    fields["column_fpn"] = 20.0 / fields["full_well_e"]
+    chain = chain_of(pixel=PIXEL.model_copy(update=fields))
+    frame = chain.expected(2000.0 / float(chain.signal_e_per_s.max()))
+    noise = _raw_noise(frame, frame.signal_e)
+    slope = code_moments(code_tables(frame, frame.signal_e), frame.signal_e, 0.0).offset_slope
+    return np.array([noise.row, noise.column]) * (frame.white_e / 20) ** 2 / np.mean(slope**2)
+
+
 def slope_ratios(fields: dict) -> list[np.ndarray]:
     """Return slopes for the signal, and for an offset of codes, over quotients of the mean code at
     the same noise, below a well of 2000 e- and above it.
@@ -325,6 +338,16 @@ CLAIMS = [
             why="differences of 0.1 e-",
         )
         for fields in (ENDS["well"], {}, {"bits": 8})
+    ),
+    *(
+        Claim(
+            f"rows and columns have the noise that codes at the {end} leave of 20 e-",
+            lambda end=end: noise_of_lines(ENDS[end]),
+            [1.0, 1.0],
+            rtol=1e-6,
+            why="float32 of the white",
+        )
+        for end in ("well", "ADC")
     ),
     Claim(
         "tables of a burst hold from their first signal, or up to their last",
