@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields as dataclass_fields, replace
 from functools import cache
@@ -1346,8 +1345,7 @@ class Lens:
         waves = self.wavefront(field_deg, wavelength_nm, np.zeros(grid.size), grid)
         is_passed = waves.passed & np.isfinite(waves.opd_waves)
         ray_cosines = np.where(is_passed, waves.cosines[..., 1], np.nan)
-        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
-            middle = (np.nanmin(ray_cosines, axis=1) + np.nanmax(ray_cosines, axis=1)) / 2
+        middle = (np.fmin.reduce(ray_cosines, axis=1) + np.fmax.reduce(ray_cosines, axis=1)) / 2
 
         # The middle, where it passes; else the direction that passes best.
         candidates = np.concatenate([middle[:, None], chief_cosine[:, None], ray_cosines], axis=1)

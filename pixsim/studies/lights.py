@@ -487,6 +487,8 @@ def render_lights(
     elif light_request(cases[0]).plan.samples.exact:
         # A worker of a cluster may lack files of the user's, or have others of the same name.
         local_workers = workers if workers.client is None else workers_here()
+        if workers.are_threads:  # which the kernels of a film have themselves
+            local_workers = Workers()
         lights = _computed_lights(different, stage("render"), local_workers, store)
     else:
         for number, (key, case) in enumerate(different.items(), 1):

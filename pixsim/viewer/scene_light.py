@@ -335,13 +335,14 @@ class SceneCache:
         """
         if self.display.raster == "one_to_one":
             return self.light
-        if key not in self._scenes:
+        scene = self._scenes.get(key)
+        if scene is None:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             scene = prepare_scene(imaging, self.light, others=self.others)
             self._scenes[key] = scene
             self._facts[key] = IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
-        return self._scenes[key]
+        return scene
 
     def ideal_facts(self, key: object, imaging: Imaging) -> IdealFacts:
         """Return the `IdealFacts` for the key of `get`; where dots are pixels, of these pixels."""
