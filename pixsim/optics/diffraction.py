@@ -107,9 +107,12 @@ def white_otf(
     """
     _check_bands(wavelength_nm, weight)
     otf = np.zeros_like(frequency_cy_per_mm)
-    for nm, share in zip(wavelength_nm, weight, strict=True):
-        if share:
-            otf += share * diffraction_otf(frequency_cy_per_mm, nm, f_number)
+    seen = np.flatnonzero(weight)
+    column = (-1, *[1] * otf.ndim)
+    otfs = diffraction_otf(frequency_cy_per_mm, wavelength_nm[seen].reshape(column), f_number)
+    otfs *= weight[seen].reshape(column)
+    for part in otfs:
+        otf += part
     return otf
 
 
