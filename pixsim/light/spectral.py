@@ -251,7 +251,7 @@ class SpectralImage:
         """
         hasher = blake2b(repr((self.pitch_um, self.margin)).encode(), digest_size=16)
         hasher.update(json.dumps(self.header, sort_keys=True, default=repr).encode())
-        spectra = () if self.factors is None else self.factors[:1]
+        spectra = () if self.factors is None else (self.factors[0],)
         if self.margin:
             pictures = self._pictures_with_margin
         else:

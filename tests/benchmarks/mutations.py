@@ -257,6 +257,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "_OUTLINE_START / self.first_order(self.primary_nm).f_number",
         "(2 * (_OUTLINE_START / self.first_order(self.primary_nm).f_number))",
     ): "the same edge, predicted by another first step",
+    ("pixsim/sensor/pixel.py", "zero_bias_ff * grading", "(2 * (zero_bias_ff * grading))"): (
+        "whether a product is 0"
+    ),
 }
 
 

@@ -3,6 +3,7 @@ factors and bands, in parts and as a whole.
 """
 
 import copy
+import mmap
 import pickle
 import subprocess
 import sys
@@ -73,6 +74,7 @@ def merged_bands() -> SpectralImage:
 
 FOUR_NM = np.linspace(420.0, 680.0, 4)
 LAMP = {spectral.LAMP: [1.0, 2.0, 3.0, 4.0]}
+SQUARES = np.arange(7.0)[:, None] ** 2 + 10 * np.arange(7.0)
 CLAIMS = [
     Claim(
         "outliers of a foreign header change nothing",
@@ -84,6 +86,26 @@ CLAIMS = [
             for places in ([[3]], [["a", 1]], [[9, 0]], "text", [[0, -1]])
         ],
         [1] * 5,
+    ),
+    Claim(
+        "extremes of planes in a file",
+        lambda: spectral.extremes(
+            np.positive(
+                np.float32([[[-5, -7]], [[-2, -3]]]),
+                out=np.frombuffer(mmap.mmap(-1, 16), np.float32).reshape(2, 1, 2),
+            )
+        ),
+        [-7.0, -2.0],
+    ),
+    Claim(
+        "an outlier is the median of the nine samples around, or of four in a corner",
+        lambda: [
+            spectral.without_outliers(
+                image(data=SQUARES[..., None], header={spectral.OUTLIERS: [[row, column]]})
+            ).data[row, column, 0]
+            for row, column in ((2, 3), (0, 0), (3, 4))
+        ],
+        [np.median(SQUARES[1:4, 2:5]), np.median(SQUARES[:2, :2]), np.median(SQUARES[2:5, 3:6])],
     ),
     *(
         Claim(
@@ -394,6 +416,7 @@ def test_reduced_to_fit_holds_limits(shape, bands, is_factored, columns, monkeyp
         ({(0, 0): 99.0}, []),  # less than a hundred times the others
         ({(3, 4): 1e6, (3, 5): 1e6}, []),  # a line: neighbours are as bright
         ({(3, 4): 1e6, (30, 40): 1e5}, [(3, 4), (30, 40)]),
+        ({(149, 149 - 2 * n): 1e6 for n in range(3)}, []),  # more than 1 in 10 000
     ],
 )
 def test_outliers_stand_alone_and_become_medians(samples, outliers) -> None:

@@ -346,6 +346,13 @@ def peak_of_clipped_variance_e(well_e: float) -> float:
     return float(mean_e[np.argmax(mean_e * (second - first**2))])
 
 
+WELL_AND_AREA = "full_well_e", "photodiode_area_um2"
+MEASURED = {
+    "technology": "0.35um",
+    "pitch_um": 6.5,
+    "saturation_capacity_e": 1000.0,
+    "prnu_um": 0.3,
+}
 SHEET_WITHOUT_WELL = {
     "technology": "none",
     "pitch_um": 4.0,
@@ -502,12 +509,24 @@ CODES = [
                     "reset_noise_factor": 3.0,
                 },
             ),
+            ("with the PRNU of its area", MEASURED),
             (
                 "with an ADC that ends at it, above the black level of its noise",
                 SHEET_WITHOUT_WELL
                 | {"saturation_capacity_e": 9000.0, "gain_e_per_dn": 2.35, "dsnu_e": 20.0},
             ),
         )
+    ),
+    Claim(
+        "a well of 6.5 µm, measured with the PRNU of its area, grows with the photodiode",
+        lambda: np.diff(
+            [
+                np.divide(*(getattr(derive(Pixel(**fields)), name) for name in WELL_AND_AREA))
+                for fields in (MEASURED, MEASURED | {"pitch_um": 13.0, "data_sheet_pitch_um": 6.5})
+            ]
+        ),
+        [0.0],
+        atol=1e-9,
     ),
     Claim(
         "and without a limit by the ADC where the black level of its noise ends it before",
