@@ -115,6 +115,9 @@ def natural_information(count: int) -> float:
 D65_NM = np.arange(405.0, 700.0, 10.0)
 D65_LIGHT = SpectralImage(D65_NM, 10.0, 2.0, factors=(d65(D65_NM), np.ones((1, 4, 4))))
 D65_LM_PER_W = float(D65_LIGHT.luminous_weight() @ d65(D65_NM) / (10.0 * d65(D65_NM).sum()))
+NEAR_THRESHOLD = scielab.xyz_to_lab(
+    216 / 24389 * (1 + np.linspace(-1e-6, 1e-6, 41))[:, None] * D65, D65
+)
 DISPLAYS = [
     Claim(
         "electrons of a plate of 50 cd/m² in D65, and of its radiance",
@@ -298,6 +301,18 @@ COLOURS = [
         lambda: scielab.xyz_to_lab(0.18 * D65, D65),
         [116 * 0.18 ** (1 / 3) - 16, 0, 0],
         atol=1e-12,
+    ),
+    *(
+        Claim(
+            f"equal steps of luminance make equal ones of L* across CIELAB's threshold, {formula}",
+            lambda formula=formula: np.diff(
+                np.log(scielab.delta_e(NEAR_THRESHOLD[:-1], NEAR_THRESHOLD[1:], formula))
+            ),
+            np.zeros(39),
+            atol=1e-4,
+            why="steps of 5e-8 of the threshold",
+        )
+        for formula in ("1976", "1994", "2000")
     ),
     Claim(
         "CIELAB below the cube root",

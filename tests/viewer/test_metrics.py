@@ -45,6 +45,7 @@ from pixsim.viewer.raw_metrics import (
     MAX_D_PRIME,
     _check_rounding,
     _ClippedExposure,
+    _CodeTable,
     _d_prime,
     _line_variance_e2,
     _mtf_along,
@@ -158,28 +159,22 @@ def niirs_from(**options: float) -> float:
 
 
 def stated_disc() -> ImagingChain:
-    disc = with_disc(-0.05, parameters={"contrast": "-0.5"})
-    return chain_of(disc, background=UNIFORM, metrics=request("detectability", **ONE_REGISTRATION))
+    return chain_of(
+        with_disc(-0.05, parameters={"contrast": "-0.5"}),
+        background=UNIFORM,
+        metrics=request("detectability", **ONE_REGISTRATION),
+    )
 
 
 STATED = PIXEL.model_dump(exclude_unset=True)
 SPARSE = STATED | {"pitch_um": 100.0, "fill_factor": 0.01}
+SHORTER = {"kind": "staggered", "ratio": 16.0}
 LINED = {"prnu": 0.01, "row_noise_e": 8.0, "column_fpn": 12.0 / 20_000}
 
 
-def table_of_two_exposures() -> list[float]:
-    """Mean and variance, less the shot noise of 1/16 of the light, at the start of a table; the
-    mean at its end.
-    """
-    pixel = Pixel(**STATED, readout={"kind": "staggered", "ratio": 16.0})
-    table = top_table(chain_of(pixel=pixel).expected(TIME_S), 1e6)
-    fixed_e2 = table.variance_e2[0] - 16 * table.signal_e[0]
-    return [
-        table.low_e / table.signal_e[0],
-        table.mean_e[0] / table.low_e,
-        fixed_e2,
-        table.mean_e[-1],
-    ]
+@cache
+def shorter_table() -> _CodeTable:
+    return top_table(chain_of(pixel=Pixel(**STATED, readout=SHORTER)).expected(TIME_S), 1e6)
 
 
 SMALL_WELL = {"full_well_e": 2000.0, "read_noise_e": 3.0}
@@ -204,10 +199,9 @@ FAINT_E = 4 * ((6**2 + math.sqrt(6**4 + 4 * 6**2 * 4**2)) / 2 - 10)
 BRIGHT_E = 4 * (((math.sqrt(6**2 + 4 * 20_000) - 6) / 2) ** 2 - 10)
 
 
-def full_burst() -> list[float]:
-    """Mean at the end of a table, and slopes at its beginning and its end."""
-    table = top_table(burst_frame(dark_current_e_per_s=1e5, prnu=0.1), 8e4)
-    return [table.mean_e[-1], *table.signal_slope[[0, 1, -1]]]
+@cache
+def full_table() -> _CodeTable:
+    return top_table(burst_frame(dark_current_e_per_s=1e5, prnu=0.1), 8e4)
 
 
 def noise_of_lines(end: dict) -> np.ndarray:
@@ -359,7 +353,12 @@ CLAIMS = [
     ),
     Claim(
         "a table of the shorter of two exposures is in electrons of the longer, up to its well",
-        table_of_two_exposures,
+        lambda: [
+            shorter_table().low_e / shorter_table().signal_e[0],
+            shorter_table().mean_e[0] / shorter_table().signal_e[0],
+            shorter_table().variance_e2[0] - 16 * shorter_table().signal_e[0],
+            shorter_table().mean_e[-1],
+        ],
         [1.0, 1.0, 16**2 * (4.0**2 + (20_000 / (4095 - 64)) ** 2 / 12), 16 * 20_000],
         rtol=1e-4,
         why="the well and the top code cut off some of the noise at both ends",
@@ -377,15 +376,12 @@ CLAIMS = [
         )
         for name, fields in (
             ("of one reading", {}),
-            (
-                "that the longer of two exposures takes",
-                {"readout": {"kind": "staggered", "ratio": 16.0}},
-            ),
+            ("that the longer of two exposures takes", {"readout": SHORTER}),
         )
     ),
     Claim(
         "full exposures of a burst have their wells less their dark charge",
-        full_burst,
+        lambda: [full_table().mean_e[-1], *full_table().signal_slope[[0, 1, -1]]],
         [4 * 20_000 - 1e5 * TIME_S, 1.0, 1.0, 0.0],
         rtol=1e-6,
         why="rounding of codes",
