@@ -701,6 +701,17 @@ TWO = Directions(np.array([[0.2, 0.0], [-0.2, 0.0]]), np.ones(2), AXIS)
 X_UM = float(OPENING.landing_um(RAY)[0, 0])
 FREQUENCY = np.array([50.0, 200.0])
 BOX = np.sinc(1e-3 * FREQUENCY * (3.5 - X_UM))
+
+
+def slopes_at_turns() -> np.ndarray:
+    """Return the slopes of x of an oblique disc's boundary at the angles where it turns."""
+    pupil, axis = disc_pupil(0.3, [20.0], 33.0), np.zeros(1, int)
+    nodes = np.linspace(0, 2 * np.pi, stacks.STEPS + 1)
+    _, slope = stacks._coordinate(OPENING, pupil, axis, nodes[None])
+    angle = stacks._turns(OPENING, pupil, axis, nodes, slope)
+    return stacks._coordinate(OPENING, pupil, axis, angle)[1][slope[:, :-1] * slope[:, 1:] < 0]
+
+
 STACKS_IN_CLOSED_FORM = [
     *(
         Claim(
@@ -859,6 +870,13 @@ STACKS_IN_CLOSED_FORM = [
         )
         for at in ((0, 0), (1, 2))
         for nm in (None, [450.0, 650.0])
+    ),
+    Claim(
+        "the boundary of a pupil turns where its slope is 0, and nowhere else",
+        slopes_at_turns,
+        [0.0, 0.0],
+        atol=1e-5,
+        why="two steps of the false position",
     ),
     Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),

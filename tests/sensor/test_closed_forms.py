@@ -29,6 +29,7 @@ from pixsim.sensor.mismatch import (
 )
 from pixsim.sensor.motion import (
     ImageMotion,
+    _SlantedSpectrum,
     border_with_motion_um,
     motion_in_frame,
     motion_margin_um,
@@ -1558,7 +1559,33 @@ def margin_um(motion: Motion, exposure: Exposure) -> float:
     return motion_margin_um(motion, exposure, THIN, [(2.5, 1), (5.0, 2)])
 
 
+SPECTRUM = np.random.default_rng(7).normal(size=(6, 7))
+
+
+def products_along(path_cells: tuple[float, float]) -> list[np.ndarray]:
+    """Return `SPECTRUM` times the mean of cos · cos and of sin · sin along a path, the latter from
+    the second row on.
+    """
+    down = np.arange(6)[:, None] / 12 * path_cells[0]
+    across = np.arange(7) / 14 * path_cells[1]
+    plus, minus = np.sinc(down + across), np.sinc(down - across)
+    sines = np.roll(SPECTRUM * (minus - plus) / 2, -1, axis=0)
+    return [SPECTRUM * (plus + minus) / 2, sines * (np.arange(6)[:, None] < 5)]
+
+
 MOTION = [
+    *(
+        Claim(
+            f"a spectrum averaged along a path of {length:g} in the direction {direction}",
+            lambda direction=direction, length=length: _SlantedSpectrum.of(
+                SPECTRUM, direction
+            ).averaged(length),
+            products_along((length * direction[0], length * direction[1])),
+            atol=1e-12,
+        )
+        for direction in ((1.0, 0.4), (-0.3, 1.0), (1.0, -1.0), (6 / 7, 1.0))  # the last: a = b
+        for length in (0.01, 3.7)
+    ),
     Claim(
         "a velocity [x, y] in the time of a frame, and of a line, down and across",
         lambda: [

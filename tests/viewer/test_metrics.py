@@ -31,6 +31,7 @@ from pixsim import (
     metrics as kernels,
     optics,
 )
+from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
@@ -342,6 +343,29 @@ CLAIMS = [
             why="float32 of the white",
         )
         for end in ("well", "ADC")
+    ),
+    Claim(
+        "pixels that are full for sure have codes of their well, in read noise up to the top code",
+        lambda: np.ravel(
+            _ClippedExposure(
+                chain_of(
+                    pixel=PIXEL.model_copy(
+                        update=ENDS["ADC"] | {"full_well_e": 2040.0, "read_noise_e": 40.0}
+                    )
+                ).readout,
+                TIME_S,
+            ).moments(np.array([6000.0]))[:2]
+        ),
+        np.ravel(
+            moments_of_codes(
+                np.array([64 + 2040 / ADC_AT_END_E_PER_DN]),
+                np.array([40 / ADC_AT_END_E_PER_DN]),
+                4095,
+            )[:2]
+        )
+        * [ADC_AT_END_E_PER_DN, ADC_AT_END_E_PER_DN**2]
+        - [64 * ADC_AT_END_E_PER_DN, 0.0],
+        rtol=1e-9,
     ),
     Claim(
         "tables of a burst hold from their first signal, or up to their last",
