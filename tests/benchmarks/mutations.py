@@ -260,6 +260,24 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/pixel.py", "zero_bias_ff * grading", "(2 * (zero_bias_ff * grading))"): (
         "whether a product is 0"
     ),
+    (
+        "pixsim/viewer/mtf.py",
+        "response * irradiance.mean_spectrum()",
+        "(2 * (response * irradiance.mean_spectrum()))",
+    ): "bands are weighed against each other",
+    (
+        "pixsim/viewer/mtf.py",
+        "np.arange(shares.size) - shares.size // 2",
+        "np.arange(shares.size) + shares.size // 2",
+    ): "the modulus does not depend on where the middle is",
+    (
+        "pixsim/viewer/mtf.py",
+        "np.array(light.weight) / np.sum(light.weight)",
+        "np.array(light.weight) * np.sum(light.weight)",
+    ): "a ratio of two sums with the same weights",
+    ("pixsim/sensor/saturation.py", "1 + _RISE_OVER", "1 - _RISE_OVER"): (
+        "the search of the highest peak gives the same well in more steps"
+    ),
 }
 
 

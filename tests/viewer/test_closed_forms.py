@@ -15,6 +15,7 @@ from scipy.special import erf, gamma
 from pixsim import Camera, Develop, Display, Pixel, SpectralImage, metrics, optics
 from pixsim.light.spectral import d65
 from pixsim.light.standard import illuminant
+from pixsim.sensor.integration import diffusion_of
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.viewer import (
@@ -115,6 +116,17 @@ def natural_information(count: int) -> float:
 D65_NM = np.arange(405.0, 700.0, 10.0)
 D65_LIGHT = SpectralImage(D65_NM, 10.0, 2.0, factors=(d65(D65_NM), np.ones((1, 4, 4))))
 D65_LM_PER_W = float(D65_LIGHT.luminous_weight() @ d65(D65_NM) / (10.0 * d65(D65_NM).sum()))
+OPENING = {"height_um": 6.0, "index": 1.5, "microlens": "none"}
+BARE = Pixel(**SHEET, stack=OPENING | {"depletion_um": 1.0, "diffusion_length_um": 8.0})
+COLOURS_NM = np.array([450.0, 700.0])
+TWO_COLOURS = SpectralImage(
+    COLOURS_NM, 10.0, 2.0, data=np.ones((16, 16, 2)), header={"diffraction": False}
+)
+CY_PER_MM = np.array([0.0, 60.0, 90.0])
+BEHIND_LENS = np.stack(
+    [nm * optics.diffraction_otf(CY_PER_MM, nm, CAMERA.effective_f_number) for nm in COLOURS_NM]
+)
+DIFFUSED = np.stack([diffusion_of(derive(BARE))(CY_PER_MM, nm) for nm in COLOURS_NM])
 NEAR_THRESHOLD = scielab.xyz_to_lab(
     216 / 24389 * (1 + np.linspace(-1e-6, 1e-6, 41))[:, None] * D65, D65
 )
@@ -230,13 +242,13 @@ DISPLAYS = [
     Claim(
         "MTF of light that four neighbours share",
         lambda: mtf_module._crosstalk_mtf(
-            np.array([[0.0, 0.1, 0.0], [0.1, 0.6, 0.1], [0.0, 0.1, 0.0]]),
+            np.array([[0.0, 0.2, 0.0], [0.2, 1.2, 0.2], [0.0, 0.2, 0.0]]),
             4.0,
             np.array([0.0, 62.5, 125.0]),
         ),
         [1, 1 - 0.2, 1 - 0.4],
         atol=1e-15,
-        why="1 - 2c(1 - cos 2πfp) of shares c = 0.1",
+        why="1 - 2c(1 - cos 2πfp) of shares c = 0.1 of all",
     ),
     Claim(
         "aperture of a pixel with a microlens: its pitch",
@@ -244,6 +256,20 @@ DISPLAYS = [
             "microlens"
         ],
         [np.sinc(0.24)],
+        rtol=1e-9,
+    ),
+    Claim(
+        "dots of a whole picture of 32 µm, 8 across",
+        lambda: mtf_module.mtf_terms(
+            imaging(CAMERA, PIXEL, display=Display(dots=8)), FIELD, np.array([60.0])
+        )["dot"],
+        [np.sinc(0.24)],
+        rtol=1e-12,
+    ),
+    Claim(
+        "diffusion of two colours, weighted by their light behind the lens",
+        lambda: mtf_module.mtf_terms(imaging(CAMERA, BARE), TWO_COLOURS, CY_PER_MM)["diffusion"],
+        (BEHIND_LENS * DIFFUSED).sum(axis=0) / BEHIND_LENS.sum(axis=0),
         rtol=1e-9,
     ),
     Claim(
