@@ -73,7 +73,7 @@ class Pupil:
         """Area in direction cosines, (...), sr: E/L for light that fills the pupil."""
         if not self.is_in_tangents:
             return np.asarray(np.pi * np.abs(_cross(self.radial, self.tangential)))
-        s, slope = self.boundary(np.linspace(0, 2 * np.pi, _AREA_NODES, endpoint=False))
+        s, slope = self.boundary(np.linspace(0, math.tau, _AREA_NODES, endpoint=False))
         return np.asarray(np.abs(_cross(s, slope).mean(axis=-1)) * np.pi)
 
     def boundary(self, angle: Array) -> tuple[Array, Array]:

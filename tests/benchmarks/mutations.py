@@ -154,6 +154,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "E_PER_FC * self.capacitance_ff(self.reset_voltage_v)",
         "E_PER_FC / self.capacitance_ff(self.reset_voltage_v)",
     ): "Newton's method from another start ends in the same root",
+    ("pixsim/sensor/saturation.py", "above - below", "(2 * (above - below))"): (
+        "a function and twice the function have one root"
+    ),
     ("pixsim/sensor/saturation.py", "above - below", "above + below"): (
         "the search for the highest peak finds the same well, in fifteen times the time"
     ),
