@@ -281,6 +281,17 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/saturation.py", "1 + _RISE_OVER", "1 - _RISE_OVER"): (
         "the search of the highest peak gives the same well in more steps"
     ),
+    ("pixsim/sensor/saturation.py", "_MAX_WELL * capacity_e", "(2 * (_MAX_WELL * capacity_e))"): (
+        "where a search ends that finds its well long before"
+    ),
+    (
+        "pixsim/sensor/saturation.py",
+        "CLIP_REACH * sigma",
+        "(2 * (CLIP_REACH * sigma))",
+    ): "moments so far from the clip are those without it",
+    ("pixsim/sensor/saturation.py", "1 + gain", "1 - gain"): (
+        "gains are as often below their mean as above it"
+    ),
 }
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import lights
+from helpers.claims import Claim
 from hypothesis import example, given, settings, strategies as st
 from scipy import stats
 from scipy.fft import dctn
@@ -90,20 +91,6 @@ def test_matrix_is_that_of_another_optimiser(case: str) -> None:
     )
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_noise_gains_are_those_of_another_program(case: str) -> None:
-    """Within 3e-4: its display white is (.3127, .3290), pixsim's D65 with five digits of XYZ. They
-    do not depend on the unit.
-    """
-    white = reference()[f"{case.rpartition('/')[2]}/XYZ_white"]
-    matrix = 100 * reference()[f"{case}/M_opt"]
-    np.testing.assert_allclose(
-        [noise_gains(matrix, 100 * white, name) for name in ("bradford", "cat02")],
-        [reference()[f"{case}/gain_srgb_{name}_opt"] for name in ("bradford", "cat02")],
-        rtol=3e-4,
-    )
-
-
 def test_metamerism_index_of_all_cameras() -> None:
     """SMI of 52 cameras: 84.34, 91.46 and 93.19 (min, median, max) by another program."""
     power = illuminant("D55", STANDARD_NM)
@@ -117,16 +104,6 @@ def test_metamerism_index_of_all_cameras() -> None:
     np.testing.assert_allclose(
         [min(indices), np.median(indices), max(indices)], [84.34, 91.46, 93.19], atol=0.006
     )
-
-
-@pytest.mark.parametrize(
-    ("lamp", "atol"), [("A", 1e-9), ("D50", 1e-9), ("FL11", 1e-9), ("LED-B3", 1e-9), ("D65", 1e-3)]
-)
-def test_chart_has_the_xyz_of_another_program(lamp: str, atol: float) -> None:
-    """To rounding; its D65 ends at 780 nm, pixsim's at 830."""
-    nm = np.arange(360.0, 831.0)
-    xyz, _ = chart_xyz(nm, illuminant(lamp, nm))
-    np.testing.assert_allclose(100 * xyz, reference("colour/charts")[f"{lamp}/XYZ"], atol=atol)
 
 
 # --- the colour matrix in its limits
@@ -298,30 +275,88 @@ def mosaic_of(picture: np.ndarray, cell: tuple[str, ...]) -> np.ndarray:
     return np.take_along_axis(picture, index[:, :, None], axis=2)[:, :, 0]
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("phase", BAYER)
-@pytest.mark.parametrize("case", ["random_odd", "zone_even"])
-def test_demosaic_equals_colour_demosaicing(case: str, phase: str, method) -> None:
-    """To rounding, up to the edges: no direction of Menon's depends on less than 9e-5."""
-    np.testing.assert_allclose(
-        demosaic(
-            mosaic_of(reference("demosaic/padded")[f"{case}/truth"], BAYER[phase]), phase, method
-        ),
-        reference("demosaic/padded")[f"{case}/{phase}/{method}"],
-        rtol=0,
-        atol=1e-12,
-    )
+def flat_field(cell: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:
+    return 0.1 + 0.2 * np.arange(len(channels_of(cell))) * np.ones((*shape, 1))
 
 
-@pytest.mark.parametrize("name", PATTERNS)
-@pytest.mark.parametrize("shape", [(17, 22), (6, 6)])
-def test_flat_field_stays_flat_up_to_the_edge(name: str, shape: tuple[int, int]) -> None:
-    cell = PATTERNS[name]
-    flat = 0.1 + 0.2 * np.arange(len(channels_of(cell))) * np.ones((*shape, 1))
-    for method in (*METHODS, "interpolate") if name in BAYER else ("interpolate",):
-        np.testing.assert_allclose(
-            demosaic(mosaic_of(flat, cell), cell, method), flat, rtol=0, atol=1e-15
+WHOLE_NM = np.arange(360.0, 831.0)
+MOSAIC = np.random.default_rng(2).random((9, 12))
+CLAIMS = [
+    *(
+        Claim(
+            f"noise gains of {case} by another program, in any unit",
+            lambda case=case: [
+                noise_gains(
+                    100 * reference()[f"{case}/M_opt"],
+                    100 * reference()[f"{case.rpartition('/')[2]}/XYZ_white"],
+                    name,
+                )
+                for name in ("bradford", "cat02")
+            ],
+            [reference()[f"{case}/gain_srgb_{name}_opt"] for name in ("bradford", "cat02")],
+            rtol=3e-4,
+            why="its display white is (.3127, .3290), pixsim's D65 with five digits of XYZ",
         )
+        for case in CASES
+    ),
+    *(
+        Claim(
+            f"XYZ of the chart under {lamp} by another program",
+            lambda lamp=lamp: 100 * chart_xyz(WHOLE_NM, illuminant(lamp, WHOLE_NM))[0],
+            reference("colour/charts")[f"{lamp}/XYZ"],
+            rtol=1e-7,
+            atol=atol,
+            why="rounding; its D65 ends at 780 nm, pixsim's at 830",
+        )
+        for lamp, atol in (
+            ("A", 1e-9),
+            ("D50", 1e-9),
+            ("FL11", 1e-9),
+            ("LED-B3", 1e-9),
+            ("D65", 1e-3),
+        )
+    ),
+    *(
+        Claim(
+            f"{method} of {case}, {phase}, by colour-demosaicing, up to the edges",
+            lambda case=case, phase=phase, method=method: demosaic(
+                mosaic_of(reference("demosaic/padded")[f"{case}/truth"], BAYER[phase]),
+                phase,
+                method,
+            ),
+            reference("demosaic/padded")[f"{case}/{phase}/{method}"],
+            atol=1e-12,
+            why="rounding: no direction of Menon's depends on less than 9e-5",
+        )
+        for case, phase, method in product(("random_odd", "zone_even"), BAYER, METHODS)
+    ),
+    *(
+        Claim(
+            f"a flat field of {name} stays flat up to the edge of {shape}, {method}",
+            lambda cell=cell, shape=shape, method=method: demosaic(
+                mosaic_of(flat_field(cell, shape), cell), cell, method
+            ),
+            flat_field(cell, shape),
+            atol=1e-15,
+        )
+        for (name, cell), shape in product(PATTERNS.items(), ((17, 22), (6, 6)))
+        for method in (*METHODS, "interpolate")
+        if name in BAYER or method == "interpolate"
+    ),
+    *(
+        Claim(
+            f"interpolation of {phase} is bilinear",
+            lambda phase=phase: demosaic(MOSAIC, phase, "interpolate"),
+            demosaic(MOSAIC, phase, "bilinear"),
+        )
+        for phase in BAYER
+    ),
+]
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=str)
+def test_closed_forms(claim: Claim) -> None:
+    claim.check()
 
 
 @pytest.mark.parametrize("name", PATTERNS)
@@ -335,14 +370,6 @@ def test_interpolation_keeps_samples_and_stays_within_them(name: str) -> None:
         is_channel = np.arange(len(channels)) == number
         samples = mosaic[mosaic_of(np.broadcast_to(is_channel, picture.shape), cell)]
         assert samples.min() - 1e-15 <= plane.min() <= plane.max() <= samples.max() + 1e-15
-
-
-@pytest.mark.parametrize("phase", BAYER)
-def test_interpolation_of_a_bayer_pattern_is_bilinear(phase) -> None:
-    mosaic = np.random.default_rng(2).random((9, 12))
-    np.testing.assert_array_equal(
-        demosaic(mosaic, phase, "interpolate"), demosaic(mosaic, phase, "bilinear")
-    )
 
 
 @REPEATABLE
