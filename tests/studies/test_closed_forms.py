@@ -164,6 +164,10 @@ METRIC_CURVE = partial(
 )
 SPLINE = "the spline between nine sizes has an error of 0.3 % of the size"
 
+TO_THE_SMALLEST = [
+    curve("day", 1e-4, delta_e=parabola(3.0, 0.3, 0.8)),
+    curve("night", 1e-4, delta_e=parabola(3.5, 0.9, 0.4)),
+]
 VOLTAGES = {"voltage_swing_v": (0.9, 2.2), "reset_voltage_v": (1.2, 3.0)}
 CLAIMS = [
     Claim(
@@ -452,6 +456,26 @@ SHARES = [
         atol=0.1,
         why="three standard errors of 256 points",
     ),
+    Claim(
+        "a weighted mean that is best at the smallest size has an open interval",
+        lambda: [
+            value
+            for optimum in [weighted_fit(study_of(3), TO_THE_SMALLEST, HALVES).optimum]
+            for value in (optimum.inside, optimum.interval_um[0] is None)
+        ],
+        [0, 1],
+    ),
+    Claim(
+        "nothing is left where the best value is zero",
+        lambda: [
+            value
+            for fit in [curve(delta_e=parabola(6.0, 1.0, 1.0)).fit]
+            for loss in [np.maximum(np.abs(fit.pitch_um - PITCH_UM[3]) - 0.1, 0.0)]
+            for share in [share_of_best(replace(fit, delta_e=loss))]
+            for value in (share.max(), share[0])
+        ],
+        [1.0, 0.0],
+    ),
     *(
         Claim(
             f"Jeffreys' interval of {holds} of {draws} draws",
@@ -542,15 +566,6 @@ def test_regrets_are_the_same_in_the_figure_the_csv_and_the_json() -> None:
     assert condition_regrets_data(regrets)["regret"] == regrets.matrix.tolist()
 
 
-def test_weighted_mean_that_is_best_at_the_smallest_size_has_an_open_interval() -> None:
-    curves = [
-        curve("day", 1e-4, delta_e=parabola(3.0, 0.3, 0.8)),
-        curve("night", 1e-4, delta_e=parabola(3.5, 0.9, 0.4)),
-    ]
-    fit = weighted_fit(study_of(3), curves, HALVES)
-    assert (fit.optimum.inside, fit.optimum.interval_um[0]) == (False, None)
-
-
 @pytest.mark.parametrize("curves", [1, 2], ids=["one condition", "four common sizes"])
 def test_no_weighted_mean_without_a_condition_or_with_few_common_sizes(curves: int) -> None:
     day, night, _ = delta_e_curves()
@@ -567,13 +582,6 @@ def test_metric_that_is_worth_nothing_or_has_no_best_size_has_no_fit(
 ) -> None:
     values = np.array([[1.0, value]] * PITCH_UM.size)
     assert fit_of_metric(METRICS[name], PITCH_UM, values, np.asarray) is None
-
-
-def test_nothing_is_left_where_the_best_value_is_zero() -> None:
-    fit = curve(delta_e=parabola(6.0, 1.0, 1.0)).fit
-    loss = np.maximum(np.abs(fit.pitch_um - PITCH_UM[3]) - 0.1, 0.0)
-    share = share_of_best(replace(fit, delta_e=loss))
-    assert (share.max(), share[0]) == (1.0, 0.0)
 
 
 def test_size_worth_nothing_ends_a_curve_and_one_without_a_number_is_left_out() -> None:
