@@ -721,7 +721,7 @@ class RadialPsfs:
     @property
     def cached_bytes(self) -> int:
         """Memory of the points and spectra that are computed."""
-        arrays = [*self._splines.values(), *self._spectra_of_places.values()]
+        arrays: list[NDArray[Any]] = [*self._splines.values(), *self._spectra_of_places.values()]
         return sum(array.nbytes for array in arrays)
 
     def spline(self, point: int) -> NDArray[np.complex64]:
@@ -1112,7 +1112,7 @@ class FieldBlur:
         """The cells that the light of a window fills, down and across."""
         return tuple(side + self.cells - 1 for side in self._tiles[1])
 
-    @property
+    @cached_property
     def _transform_shape(self) -> tuple[int, ...]:
         """The cells of transforms that hold the light of a window, down and across."""
         return tuple(next_fast_len(side, real=True) for side in self._spread_shape)
