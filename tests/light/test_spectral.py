@@ -31,6 +31,7 @@ from pixsim.light.standard import (
 from pixsim.light.stored import PictureFile, StoredImage
 from pixsim.light.tables import Column, column_quantum_efficiency
 
+SPECTRA = Path(__file__).parents[2] / "scenes" / "spectra" / "macbeth"
 NM = np.arange(360.0, 831.0)
 OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 TENTHS = np.linspace(400.0, 401.0, 11)
@@ -221,6 +222,17 @@ CLAIMS = [
         for name in illuminant_names()
         for table in [colour.SDS_ILLUMINANTS[name]]
     ),
+    # The tests may be installed without the scenes.
+    *(
+        Claim(
+            "patches that matrices are fitted to are those of the scene `macbeth`",
+            lambda: patch_reflectance(NM),
+            [np.interp(NM, *np.loadtxt(path).T) for path in paths],
+            atol=1e-12,
+        )
+        for paths in [sorted(SPECTRA.glob("*.spd"))]
+        if paths
+    ),
     Claim("no A beyond 360-780 nm", lambda: illuminant("A", [355.0, 835.0]), [0, 0]),
     Claim("opponents back", lambda: XYZ_FROM_OPPONENT @ OPPONENT_FROM_XYZ, np.eye(3), atol=1e-14),
     Claim("area of a triangle", TRIANGLE.integral, 30.0, rtol=1e-14),
@@ -302,8 +314,6 @@ def test_closed_forms(claim: Claim) -> None:
 
 
 # Images
-
-SPECTRA = Path(__file__).parents[2] / "scenes" / "spectra" / "macbeth"
 
 
 def factored(seed: int, shape: tuple[int, int] = (6, 9), margin: int = 0) -> SpectralImage:
@@ -430,14 +440,6 @@ def test_outliers_stand_alone_and_become_medians(samples, outliers) -> None:
     assert (plain is None) == (not outliers)
     if plain is not None:
         assert (plain.data.max(), spectral.OUTLIERS in plain.header) == (1, False)
-
-
-@pytest.mark.skipif(not SPECTRA.is_dir(), reason="the tests are installed without the scenes")
-def test_patches_are_those_of_the_scene() -> None:
-    """The scene `macbeth` renders the patches that matrices are fitted to."""
-    files = [np.loadtxt(path).T for path in sorted(SPECTRA.glob("*.spd"))]
-    wanted = np.array([np.interp(NM, *file) for file in files])
-    check("patches", patch_reflectance(NM), wanted, atol=1e-12, why="rounding")
 
 
 # Pictures in a file

@@ -187,10 +187,6 @@ def ellipse() -> Pupil:
     return Pupil(disc.centre, 0.75 * disc.radial, 0.9 * disc.tangential)
 
 
-def horizon(chief_deg: float) -> float:
-    return (1 - math.sin(math.radians(abs(chief_deg)))) * (1 - 1e-6)
-
-
 def moments() -> tuple[np.ndarray, np.ndarray]:
     """Return the mean direction of both ellipses, and the second moment along the first."""
     rays = ellipse().directions(3, 8)
@@ -260,11 +256,12 @@ THIN_LENS = [
     *(
         Claim(
             f"a disc at {deg:g}° that nearly reaches the horizon",
-            lambda deg=deg: disc_pupil(horizon(deg), deg, 10.0).area,
-            np.pi * horizon(deg) ** 2,
+            lambda deg=deg, radius=radius: disc_pupil(radius, deg, 10.0).area,
+            np.pi * radius**2,
             rtol=1e-12,
         )
         for deg in (0.0, 5.0, -30.0)
+        for radius in [(1 - math.sin(math.radians(abs(deg)))) * (1 - 1e-6)]
     ),
     Claim("chief rays", lambda: ellipse().chief_cosines, [[0, 0], SIN25 * OUTWARD], rtol=1e-14, atol=1e-16),
     Claim("mean direction", lambda: moments()[0], [[0, 0], SIN25 * OUTWARD], atol=1e-15),

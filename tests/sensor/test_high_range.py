@@ -78,21 +78,6 @@ def centres_apart_ms(ratio: float) -> float:
 BEST = "max_likelihood"
 
 
-def below_shot_noise(options: dict) -> int:
-    level_e = np.array([100.0, 1000.0, 4000.0])
-    readout = Readout.of(derive(pixel(options)))
-    return int(np.sum(level_variance_e2(readout, level_e, 0.0) < level_e))
-
-
-PATTERNS = {"prnu": 0.01, "dsnu": 0.3, "offset_fpn": 0.001, "column_fpn": 0.0003}
-
-
-def residuals_e2(readout: Readout, level_e: float, time_s: float, **frames: float) -> np.ndarray:
-    """What a correction leaves: noise, offsets, and the noise of flat frames or else the gains."""
-    left = residual_variance_e2(level_e, time_s, readout, Correction(**frames))
-    return np.array([left.temporal, left.offsets, left.flat or left.gain])
-
-
 def burst_residuals(kind: str, level_e: float) -> np.ndarray:
     """What flat frames leave in a burst of four exposures, over what they leave in one of them."""
     readout = Readout.of(derive(pixel(KINDS[kind][0] | {"merge": BEST}, **PATTERNS, **DARK)))
@@ -231,7 +216,14 @@ NUMBERS = [
     *(
         (
             f"levels at which {name} have less than shot noise",
-            lambda options=options: below_shot_noise(options | {"merge": BEST}),
+            lambda options=options: np.sum(
+                level_variance_e2(
+                    Readout.of(derive(pixel(options | {"merge": BEST}))),
+                    level_e := np.array([100.0, 1000.0, 4000.0]),
+                    0.0,
+                )
+                < level_e
+            ),
             number,
             0,
         )
