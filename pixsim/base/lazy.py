@@ -10,7 +10,7 @@ from importlib.util import LazyLoader, find_spec, module_from_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING or sys.version_info >= (3, 12):
-    from functools import cached_property as cached_property
+    cached_property = functools.cached_property
 else:
 
     class cached_property(functools.cached_property):
