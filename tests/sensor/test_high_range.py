@@ -78,6 +78,15 @@ def centres_apart_ms(ratio: float) -> float:
 BEST = "max_likelihood"
 
 
+PATTERNS = {"prnu": 0.01, "dsnu": 0.3, "offset_fpn": 0.001, "column_fpn": 0.0003}
+
+
+def residuals_e2(readout: Readout, level_e: float, time_s: float, **frames: float) -> np.ndarray:
+    """What a correction leaves: noise, offsets, and the noise of flat frames or else the gains."""
+    left = residual_variance_e2(level_e, time_s, readout, Correction(**frames))
+    return np.array([left.temporal, left.offsets, left.flat or left.gain])
+
+
 def burst_residuals(kind: str, level_e: float) -> np.ndarray:
     """What flat frames leave in a burst of four exposures, over what they leave in one of them."""
     readout = Readout.of(derive(pixel(KINDS[kind][0] | {"merge": BEST}, **PATTERNS, **DARK)))
