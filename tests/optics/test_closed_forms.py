@@ -875,13 +875,16 @@ STACKS_IN_CLOSED_FORM = [
         atol=1e-5,
         why="two steps of the false position",
     ),
-    Claim(
-        "shares of a round pupil on the axis, wherever its boundary begins",
-        lambda: collected_shares(
-            Stack(2.2, 1.3, 3.5, 1.5), disc_pupil(0.45, np.zeros(240), np.arange(0, 360, 1.5))
-        ),
-        np.tile(collected_shares(Stack(2.2, 1.3, 3.5, 1.5), disc_pupil(0.45)), (240, 1, 1)),
-        atol=1e-14,
+    *(
+        Claim(
+            f"shares of a round pupil on the axis, wherever its boundary begins, of {stack}",
+            lambda stack=stack: collected_shares(
+                stack, disc_pupil(0.45, np.zeros(240), np.arange(0, 360, 1.5))
+            ),
+            np.tile(collected_shares(stack, disc_pupil(0.45)), (240, 1, 1)),
+            atol=1e-14,
+        )
+        for stack in (Stack(2.2, 1.3, 3.5, 1.5), Stack(2.2, 1.3, 3.5, 1.5, microlens=False))
     ),
     Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),
