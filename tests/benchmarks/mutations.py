@@ -292,6 +292,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/saturation.py", "1 + gain", "1 - gain"): (
         "gains are as often below their mean as above it"
     ),
+    ("pixsim/optics/stack.py", "next_angle - angle", "next_angle + angle"): (
+        "all steps of a search, of which the last change nothing"
+    ),
 }
 
 
