@@ -96,7 +96,7 @@ _COARSE_WINDOW = 32
 # Shares of the tolerance: for wavelengths and for nodes each, and for the tails of PSFs.
 _LIGHT_SHARE = 0.2
 _CUT_SHARE = 0.4
-_KEY_DIGITS = 9  # of numbers on which a shipped tiling depends
+_KEY_DIGITS = 9  # of numbers on which a tiling depends
 # Of the rms of a blurred picture about its mean.
 _USUAL_TOLERANCE = 0.01
 
@@ -1019,27 +1019,25 @@ def choose_tiling(
     aperture_um : side of the squares that average the picture: a photodiode, or a dot
     tolerance : of the rms of a blurred picture about its mean
     """
-    asked = (camera, shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance)
-    shipped = packaged_tables("lens_tilings").get(tiling_key(*asked))
+    key = tiling_key(camera, shape, pitch_um, wavelength_nm, weight, aperture_um, tolerance)
+    shipped = packaged_tables("lens_tilings").get(key)
     if shipped is not None:
         return Tiling(**shipped)
 
-    camera_content = camera.without_veil.model_dump(mode="json")
-    key = content_hash([camera_content, *asked[1:], cache.version_fingerprint()])
     points = _TestPoints(
         camera, shape, pitch_um, np.array(wavelength_nm), np.array(weight), aperture_um
     )
     return cache.load_or_compute(
         "tiling",
-        key,
+        content_hash([key, cache.version_fingerprint()]),
         TypeAdapter(Tiling).validate_python,
         lambda: _chosen_tiling(points, tolerance),
         asdict,
     )
 
 
-def tiling_key(camera: Camera, *asked: object) -> str:
-    """Return the name under which the tiling of a packaged lens is shipped, from the arguments of
+def tiling_key(camera: Camera, *numbers: object) -> str:
+    """Return the name under which a tiling is shipped or cached, from the arguments of
     `choose_tiling`.
 
     It is a hash of rounded numbers, since other processors compute other last digits.
@@ -1048,7 +1046,7 @@ def tiling_key(camera: Camera, *asked: object) -> str:
     def rounded(digits: str) -> float:
         return float(f"{float(digits):.{_KEY_DIGITS}g}")
 
-    text = json.dumps([camera.without_veil.model_dump(mode="json"), *asked])
+    text = json.dumps([camera.without_veil.model_dump(mode="json"), *numbers])
     return content_hash(json.loads(text, parse_float=rounded))
 
 
