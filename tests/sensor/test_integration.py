@@ -30,6 +30,7 @@ from pixsim.sensor.integration import (
 from pixsim.sensor.pixel import derive
 
 DIE_UM = 2713.6
+HALVES = np.array([1.5, 2.5, 3.5])
 NM = np.array([420.0, 530.0, 660.0])
 WIDTH_NM = np.array([40.0, 60.0, 50.0])
 
@@ -77,6 +78,18 @@ OMEGA = 2 * np.pi / 5
 CRESTS = np.arange(20.0, 180.0, 0.37)
 STEEP = np.exp(np.linspace(0, 7 * np.log(10), 200))[:, None] * np.ones(8)
 PHOTODIODES = [
+    # Of cells of 1, 1, 1, 5, 5, 5 at half of the third to the fifth: light of a cell of 1 beside 5
+    # is 0 to 7, and half of the cell above it holds at most all, of a cell of 5 between 1.5 and 3.5.
+    Claim(
+        "an overshoot is limited to half of the range of a cell and its neighbours beyond that range",
+        lambda: [
+            limit_overshoot(np.full((3, 1), running), np.repeat([[1.0], [5.0]], 3, axis=0), HALVES)[
+                :, 0
+            ]
+            for running in (-100.0, 100.0)
+        ],
+        [[1.5, 2.0, 4.5], [1.5, 3.0, 6.5]],
+    ),
     *(
         Claim(
             f"pixels of {pitch_um:g} µm are centred and conserve light",

@@ -4,6 +4,7 @@ moved form is known and the lamp's light over each exposure.
 
 import math
 import warnings
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -22,10 +23,12 @@ from pixsim.studies.sweep import sweep
 from pixsim.viewer.evaluate import evaluate
 
 
-def moved(samples: np.ndarray, motion: ImageMotion, side_um: float = 1.6) -> np.ndarray:
-    """Integrals of a moving picture over pixels of 2 µm."""
+def moved(
+    samples: np.ndarray, motion: ImageMotion, side_um: float = 1.6, cell_um: float = 1.0
+) -> np.ndarray:
+    """Integrals of a moving picture over pixels of 2 cells."""
     picture = MovingPicture(LightSpectrum(samples), motion)
-    return integrate_pixels(samples, 1.0, 2.0, side_um, moving_picture=picture)
+    return integrate_pixels(samples, cell_um, 2 * cell_um, side_um, moving_picture=picture)
 
 
 def wave(shape: tuple[int, int], half_periods: tuple[float, float]) -> np.ndarray:
@@ -90,10 +93,14 @@ def test_contrast_of_a_wave_is_the_mean_of_two_sincs(
     ],
 )
 def test_light_is_conserved(motion: ImageMotion) -> None:
-    """Pixels that fill the picture have all light of a spot that stays inside."""
+    """Pixels that fill the picture have all light of a spot that stays inside, in any unit."""
     rows, columns = np.indices((240, 200))
     samples = 1 + 5 * np.exp(-((rows - 118) ** 2 + (columns - 101) ** 2) / 50)
     assert moved(samples, motion, 2.0).sum() == pytest.approx(samples.sum(), rel=1e-9)
+    tripled = ImageMotion(*(tuple(3 * um for um in pair) for pair in astuple(motion)))
+    np.testing.assert_allclose(
+        moved(samples, tripled, 4.8, 3.0), 9 * moved(samples, motion), rtol=1e-9
+    )
 
 
 def test_point_in_the_dark_becomes_its_path() -> None:
