@@ -295,6 +295,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/stack.py", "next_angle - angle", "next_angle + angle"): (
         "all steps of a search, of which the last change nothing"
     ),
+    (
+        "pixsim/sensor/integration.py",
+        "values.col - values.row",
+        "(2 * (values.col - values.row))",
+    ): ("a wider band of a matrix, of zeros"),
 }
 
 

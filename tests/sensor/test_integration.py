@@ -140,7 +140,7 @@ PHOTODIODES = [
     ),
     Claim(
         "a hard edge is a ratio of neighbours above 100",
-        lambda: [any_hard_edge(np.array([[1.0], [ratio]])) for ratio in (99.0, 101.0)],
+        lambda: [any_hard_edge(np.array([[10.0], [1.0], [ratio]])) for ratio in (99.0, 101.0)],
         [0, 1],
     ),
     Claim(
@@ -289,6 +289,7 @@ def test_ringing_cells_reach_as_far_as_the_ring_shows() -> None:
     worst = np.abs(moved).max(axis=1) / line[:, 0]
     assert worst[~rings].max() < 1e-5
     assert worst[rings].min() > 1e-6
+    assert np.array_equal(ringing_cells(line[::-1])[::-1, 0], rings)
     assert not ringing_cells(np.repeat([90.0, 1.0], [60, 60])[:, None]).any()
 
 
