@@ -300,6 +300,15 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "values.col - values.row",
         "(2 * (values.col - values.row))",
     ): ("a wider band of a matrix, of zeros"),
+    ("pixsim/viewer/scene_light.py", "len(self._cached) + 1", "(2 * (len(self._cached) + 1))"): (
+        "how many tables are cached"
+    ),
+    ("pixsim/viewer/scene_light.py", "2 * self.channels", "(2 * (2 * self.channels))"): (
+        "how many scenes are cached"
+    ),
+    ("pixsim/viewer/scene_light.py", "planes_a_dot * dots", "(2 * (planes_a_dot * dots))"): (
+        "how many scenes are cached"
+    ),
 }
 
 

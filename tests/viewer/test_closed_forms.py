@@ -33,6 +33,8 @@ from pixsim.viewer import (
 from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.delta_e_statistics import delta_e_statistics
 from pixsim.viewer.denoising import anscombe, wiener
+from pixsim.viewer.metric_kernels.information_density import radial_spectrum
+from pixsim.viewer.scene_light import LightFacts
 
 DATA = Path(__file__).parents[1] / "data"
 D65 = np.array([95.047, 100.0, 108.883])
@@ -271,6 +273,12 @@ DISPLAYS = [
         lambda: mtf_module.mtf_terms(imaging(CAMERA, BARE), TWO_COLOURS, CY_PER_MM)["diffusion"],
         (BEHIND_LENS * DIFFUSED).sum(axis=0) / BEHIND_LENS.sum(axis=0),
         rtol=1e-9,
+    ),
+    Claim(
+        "the spectrum of a picture is relative to its mean",
+        lambda: LightFacts(FIELD, 10 * (2 + BARS), None).spectrum,
+        radial_spectrum((2 + BARS) / 2, 2.0),
+        atol=1e-12,
     ),
     Claim(
         "terms of the display are not on the sensor",
