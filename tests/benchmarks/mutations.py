@@ -67,6 +67,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ): "the conversion is linear to 1e-12 of the well below 2e-6 of it, too",
     (
         "pixsim/sensor/photodiode.py",
+        "_LINEAR_SHARE * min(limit_e, full_well_e)",
+        "_LINEAR_SHARE / min(limit_e, full_well_e)",
+    ): "a table that begins farther below, where the level is the charge, right to 1e-6 as well",
+    (
+        "pixsim/sensor/photodiode.py",
         "second - second_line",
         "(2 * (second - second_line))",
     ): "a table with more entries, right to 1e-6 of the well as well",
