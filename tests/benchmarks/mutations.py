@@ -187,6 +187,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "(2 * (1e-3 * self.entrance_pupil_diameter_mm))",
     ): "a secant through another second point leads to the same ray",
     ("pixsim/optics/lens_waves.py", "-1", "(-(-1))"): "the last of two axes is the second",
+    ("pixsim/viewer/causes.py", "1 + modulation", "(2 * (1 + modulation))"): (
+        "of light below the wells at all phases nothing is lost, which is computed then"
+    ),
     ("pixsim/viewer/causes.py", "charge_e - dark_e", "(2 * (charge_e - dark_e))"): (
         "PRNU moves the mean of the lightest codes far less than the light itself does"
     ),

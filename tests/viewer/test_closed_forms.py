@@ -407,6 +407,18 @@ DEVELOPMENT = [
         "Reinhard's slope at black", lambda: tone.reinhard(1e-9, 4.0), 1e-9, rtol=2e-9, why="next term"
     ),
     Claim(
+        "grey light and primaries of one luminance are toned by one factor",
+        lambda: [
+            tone.toned(RAMP, Develop(tone_curve="reinhard", tone_white=4.0), DISPLAY),
+            *tone.toned(
+                np.stack([RAMP] * 3), Develop(tone_curve="reinhard", tone_white=4.0), DISPLAY
+            ),
+        ],
+        [tone.reinhard(RAMP, 4.0)] * 4,
+        rtol=1e-6,
+        why="digits of the display's primaries",
+    ),
+    Claim(
         "the display's own gamma is no tone curve",
         lambda: tone.toned(RAMP, Develop(tone_curve="gamma", tone_gamma=DISPLAY.gamma), DISPLAY),
         RAMP,
