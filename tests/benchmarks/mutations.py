@@ -154,6 +154,15 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "(below + full_wells)",
         )
     },
+    **{
+        ("pixsim/sensor/pixel.py", before, after): "the curve is scaled to its peak"
+        for before, after in (
+            ("table_nm * 1e-9", "table_nm / 1e-9"),
+            ("table_nm * 1e-9", "(2 * (table_nm * 1e-9))"),
+            ("PLANCK_J_S * LIGHT_SPEED_M_PER_S", "PLANCK_J_S / LIGHT_SPEED_M_PER_S"),
+            ("PLANCK_J_S * LIGHT_SPEED_M_PER_S", "(2 * (PLANCK_J_S * LIGHT_SPEED_M_PER_S))"),
+        )
+    },
     (
         "pixsim/sensor/pixel.py",
         "E_PER_FC * self.capacitance_ff(self.reset_voltage_v)",
