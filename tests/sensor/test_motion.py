@@ -46,8 +46,8 @@ def contrast(pixels: np.ndarray, still: np.ndarray) -> float:
     return float((deviation * pixels).sum() / (deviation**2).sum())
 
 
-# Paths from a thousandth of a pixel to a thousand, along one axis, slanted, along a diagonal, and
-# slanted by rounding only; frequencies up to 0.3 cycles a pixel.
+# Paths from a thousandth of a pixel to a thousand, along one axis, slanted, along both diagonals,
+# and slanted by rounding only; frequencies up to 0.3 cycles a pixel.
 PATHS_UM = [
     (2e-3, 0.0),
     (13.3, 0.0),
@@ -58,6 +58,7 @@ PATHS_UM = [
     (12.0, 12.0),
     (12.0, 12.0 + 1e-9),
     (5.0, 1e-13),
+    (12.0, -12.0),
 ]
 HALF_PERIODS = [(3.0, 0.0), (0.0, 240.0), (30.0, 24.0), (160.0, 120.0)]
 
