@@ -341,6 +341,10 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: Pixel(readout=DUAL, well_limit="diode"),
         "several readings, or companding, with well_limit = 'diode'",
     ),
+    "fifteen codes for ten linear DN": (
+        lambda: pixel(companding=[[0, 0], [10, 10], [20, 25]]),
+        "companding: got companding of 3 knees",
+    ),
     "a burst of companded codes": (
         lambda: Readout.of(derive(pixel(companding=[[0, 0], [4000, 1000]]))).burst(2),
         "exposure.frames: got 2 with pixel.companding",
