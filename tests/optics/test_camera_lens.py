@@ -316,6 +316,14 @@ KERNELS = [
         np.maximum(1, np.floor(0.25 * 550e-3 * math.hypot(1, 16) / 2 / np.array([0.1, 0.5, 2.0]))),
     ),
     Claim(
+        "the memory of a PSF is its coefficients from -1 to the last frequency, both ways",
+        lambda: (
+            (psfs := radial_psfs(ideal_light_at(8.0), COARSE_UM, 33, 16.0, 50.0)).spline(0).nbytes
+            / (psfs.last_frequency + 2) ** 2
+        ),
+        8.0,  # complex64
+    ),
+    Claim(
         "tilings of a header are at most twice as fine as those that are chosen",
         lambda: [
             is_usable(**fields)
