@@ -106,8 +106,25 @@ def residuals_of_faint_light(kind: str, **frames: int) -> np.ndarray:
 
 LIMITED = {
     "collector": [{"name": "a"}],
-    "reading": [{"name": "x", "collector": "a", "limit_e": 5000}, {"name": "y", "collector": "a"}],
+    "reading": [{"name": "x", "collector": "a", "limit_e": 9900}, {"name": "y", "collector": "a"}],
 }
+
+
+def bias_by_passing_e(*level_e: float) -> np.ndarray:
+    # By full readings that pass, of which a validity of 2 σ has many.
+    return np.subtract(
+        *(
+            merged_level(
+                Readout.of(derive(pixel(LIMITED | {"validity_sigmas": 2}, read_noise_e=8))),
+                np.array(level_e),
+                0.0,
+                passing=passing,
+            ).bias_e
+            for passing in (True, False)
+        )
+    )
+
+
 LAST_DIGIT = "last digit of the number"
 NUMBERS = [
     *(
@@ -183,7 +200,7 @@ NUMBERS = [
     (
         "limit of a reading",
         lambda: Readout.of(derive(pixel(LIMITED))).readings[0].readout.full_well_e,
-        5000.0,
+        9900.0,
         0,
     ),
     ("centres of exposures, (10 + .625)/2 + 1 ms apart", lambda: centres_apart_ms(16), 6.3125, 4),
@@ -215,6 +232,13 @@ NUMBERS = [
         lambda: 1e5 * largest_bias(pixel(DUAL | {"read_noise_e": [8.3, 3.05]}), (2e4, 2.2e4)),
         -2.0,
         0,
+    ),
+    # What passes reads one charge: where all are full, its error is a line in the level.
+    (
+        "full share where shot noise of 100 electrons is a deviation beyond a limit of 9900, Φ(1)",
+        lambda: (bias_e := bias_by_passing_e(1e4, 1.5e4, 2e4))[0] / (2 * bias_e[1] - bias_e[2]),
+        0.841345,
+        6,
     ),
     (
         "bias, large to small",
