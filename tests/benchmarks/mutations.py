@@ -207,6 +207,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.array(diode.knees_v) / diode.thermal_v",
         "(2 * (np.array(diode.knees_v) / diode.thermal_v))",
     ): "a panel across the knee of a capacitance, whose slope goes on, errs by less than 1e-13",
+    ("pixsim/optics/stack.py", "high - low", "(2 * (high - low))"): (
+        "from how many rays on a table takes the place of integrals, and how far beyond them it goes"
+    ),
     ("pixsim/viewer/denoising/anscombe.py", "2 * near[-1]", "2 / near[-1]"): (
         "of so much noise the correction is constant before it"
     ),

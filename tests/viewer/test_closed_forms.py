@@ -442,6 +442,11 @@ DEVELOPMENT = [
         rtol=1e-14,
     ),
     Claim(
+        "products of the weights of pixels behind a filter of three taps are its taps",
+        lambda: demosaic._filtered_products(None, "linear", 3, (0.25, 0.5, 0.25)),
+        [0.5, 0.25, 0.0],
+    ),
+    Claim(
         "Gaussian of the unsharp mask",
         lambda: sharpening.gaussian_taps(0.5) / sharpening.gaussian_taps(0.5).max(),
         np.exp(-2 * np.arange(-2, 3) ** 2.0),
