@@ -210,6 +210,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/stack.py", "high - low", "(2 * (high - low))"): (
         "from how many rays on a table takes the place of integrals, and how far beyond them it goes"
     ),
+    ("pixsim/sensor/saturation.py", "_WELL_WITHIN * capacity_e", "_WELL_WITHIN / capacity_e"): (
+        "the same root in a smaller interval"
+    ),
     ("pixsim/viewer/denoising/anscombe.py", "2 * near[-1]", "2 / near[-1]"): (
         "of so much noise the correction is constant before it"
     ),

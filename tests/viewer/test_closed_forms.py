@@ -331,6 +331,11 @@ COLOURS = [
         atol=1e-10,
     ),
     Claim(
+        "CIELAB of float32 has 1024 lines for each of the 255 exponents of finite numbers",
+        lambda: scielab._f_lines(216 / 24389, 841 / 108).size,
+        255 * 1024,
+    ),
+    Claim(
         "CIELAB of 18 % grey",
         lambda: scielab.xyz_to_lab(0.18 * D65, D65),
         [116 * 0.18 ** (1 / 3) - 16, 0, 0],
