@@ -33,11 +33,13 @@ from pixsim import (
 )
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.colour_options import ColourOptions
+from pixsim.sensor.motion import ImageMotion
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.adaptation import RESPONSES
 from pixsim.viewer.chain import ExpectedFrame, ImagingChain
+from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
 from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
@@ -167,6 +169,15 @@ def stated_disc() -> ImagingChain:
     )
 
 
+UNIFORM_E = TIME_S * float(chain_of().signal_e_per_s.mean())
+UNIFORM_SHARE = UNIFORM_E / chain_of().readout.saturation_e
+
+
+def exposure_of(fields: dict) -> _ClippedExposure:
+    pixel = PIXEL.model_copy(update=SMALL_WELL | fields)
+    return _ClippedExposure(chain_of(pixel=pixel).readout, TIME_S)
+
+
 STATED = PIXEL.model_dump(exclude_unset=True)
 SPARSE = STATED | {"pitch_um": 100.0, "fill_factor": 0.01}
 SHORTER = {"kind": "staggered", "ratio": 16.0}
@@ -239,8 +250,256 @@ def slope_ratios(fields: dict) -> list[np.ndarray]:
     ]
 
 
+STEPS = np.linspace(-6, 6, 20_001)
+LAW = np.exp(-(STEPS**2) / 2) / np.exp(-(STEPS**2) / 2).sum()
+
+
+def drawn_moments(exposure: _ClippedExposure, charge_e: float) -> list[float]:
+    """Return mean and variance in DN of the codes of a charge with a deviation of 40 e-, by its law
+    in steps.
+    """
+    mean_dn, variance_dn2, _ = moments_of_codes(
+        exposure.readout.dn_per_e
+        * (exposure.black_e + np.minimum(charge_e + 40 * STEPS, exposure.clip_e)),
+        np.full(STEPS.size, exposure.readout.dn_per_e * math.sqrt(exposure.read_e2)),
+        exposure.readout.top_code_dn,
+    )
+    return [LAW @ mean_dn, LAW @ (variance_dn2 + (mean_dn - LAW @ mean_dn) ** 2)]
+
+
+# An exposure of four: 10 e- of dark charge, 4 e- of read noise and of offsets.
+PART = _ClippedExposure(
+    chain_of(
+        pixel=PIXEL.model_copy(
+            update={"prnu": 0.01, "dsnu": 0.5, "offset_fpn": 2e-4, "dark_current_e_per_s": 2e3}
+        )
+    ).readout.burst(4),
+    TIME_S,
+)
+DN_E = 20_000 / (4095 - 64)  # of `PIXEL`
+
+
+DOT_PX = 400 / 64 / 4.0  # across
+LINE_NOISE = {"row_noise_e": 8.0, "column_fpn": 12.0 / 20_000}  # 8 and 12 e-
+
+
+CY_PER_DEG = np.linspace(0.0, DISPLAY.samples_per_deg / 2, 257)
+CY_PER_MM = CY_PER_DEG / (DISPLAY.samples_per_deg * 400 / 64 / 1e3)
+
+
 DARKER = "a target cannot be darker than black"
 CLAIMS = [
+    Claim(
+        "an exposure of a burst has a quarter of its time and dark charge, and the noise of one",
+        lambda: [
+            *(PART.time_s, PART.dark_e, PART.black_e, PART.top_e, PART.well_e, PART.clip_e),
+            *(PART.offset_fpn_e2, PART.read_e2, PART.charge_e2(1000.0)),
+        ],
+        [
+            *(TIME_S / 4, 10.0, 64 * DN_E, 20_000, 20_000, 20_000),
+            *(4**2, 4**2 + 4**2, 1000 + 10 + 10**2 + 5**2),
+        ],
+        rtol=1e-12,
+    ),
+    Claim(
+        "four exposures far from their ends: shot noise adds up, PRNU, DSNU and offsets linearly",
+        lambda: [
+            np.ravel(number)[0] for number in PART.table(np.array([5000.0, 6000.0]), 5000.0, 6000.0)
+        ],
+        [
+            20_000,
+            20_000,
+            4 * (5010 + 4**2 + DN_E**2 / 12) + 4**2 * (50**2 + 5**2 + 4**2),
+            *(1, 1, 20_000, 24_000),
+        ],
+        rtol=1e-7,
+        why="Gauss-Legendre nodes over 12 deviations",
+    ),
+    Claim(
+        "a table in electrons of light of which a quarter is read",
+        lambda: [*_CodeTable(*[1.0] * 7).scaled_by_response(0.25)],
+        [4, 4, 16, 1, 1, 4, 4],
+    ),
+    *(
+        Claim(
+            f"6 σ reach the end of the {end}, and leave it, where c ± 6 √(c + σ²) is that",
+            lambda end=end, read_e2=read_e2, root=root: [
+                [
+                    exposure_of(ENDS[end] | {"dark_current_e_per_s": 1e4}).reaches_top(
+                        factor * ((root - 3) ** 2 - read_e2 - 200)
+                    ),
+                    exposure_of(ENDS[end] | {"dark_current_e_per_s": 1e4}).is_certain(
+                        factor * ((root + 3) ** 2 - read_e2 - 200)
+                    ),
+                ]
+                for factor in (1 - 1e-9, 1 + 1e-9)
+            ],
+            [[0, 0], [1, 1]],
+        )
+        for end, read_e2, root in (("well", 0.0, 2009**0.5), ("ADC", 9.0, 2018**0.5))
+    ),
+    *(
+        Claim(
+            f"moments of codes are those of the law of the charge, {name}",
+            lambda fields=fields, charge_e=charge_e: np.divide(
+                np.ravel(
+                    exposure_of(fields)._moments_of_well(np.array([charge_e]), np.array([40.0]))[:2]
+                ),
+                drawn_moments(exposure_of(fields), charge_e),
+            ),
+            [1.0, 1.0],
+            rtol=1e-6,
+            why="nodes, and steps of 6e-4",
+        )
+        for name, fields, charge_e in (
+            ("at a well", {"bits": 16, "gain_e_per_dn": 0.05}, 1990.0),
+            ("at a well and the top code", {"bits": 16}, 1970.0),
+            ("at a top code below the well", {"bits": 16, "gain_e_per_dn": 0.03}, 1950.0),
+        )
+    ),
+    *(
+        Claim(
+            f"{name}, less its dark charge",
+            lambda fields=fields: full_e(
+                Readout.of(derive(Pixel(**STATED | {"dark_current_e_per_s": 1e5} | fields))), TIME_S
+            ),
+            expected,
+            rtol=1e-12,
+        )
+        for name, fields, expected in (
+            ("a well that ends below the codes", {"gain_e_per_dn": 6.0}, 20_000 - 2000),
+            ("a well that dark charge fills", {"dark_current_e_per_s": 1e9}, 0.0),
+            (
+                "the well of an exposure shorter by 16, in light of the longer",
+                {"readout": SHORTER},
+                16 * 20_000 - 2000,
+            ),
+        )
+    ),
+    Claim(
+        "NEQ of q²/(q + 16 + rounding) a pixel, times the squared MTF of the lens and sinc ½",
+        lambda: np.ravel(np.stack(neq_along(chain_of().expected(TIME_S)))[:, [0, -1]]),
+        [
+            *(0.0, 125.0),
+            *(
+                UNIFORM_E**2 / (UNIFORM_E + fixed_e2(chain_of())) / 0.004**2 * mtf**2
+                for mtf in (
+                    1.0,
+                    optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number) * 2 / math.pi,
+                )
+            ),
+        ],
+        rtol=1e-4,
+        why="a band of 10 nm in place of one wavelength",
+    ),
+    Claim(
+        "a path of 8 µm down and 4 µm across blurs by both",
+        lambda: (
+            [
+                sensor_mtf(
+                    replace(chain_of().expected(TIME_S), image_motion=ImageMotion(path_um)),
+                    np.array([20.0]),
+                    np.array([10.0]),
+                )[0]
+                for path_um in ((0.0, 0.0), (8.0, 4.0))
+            ]
+            @ np.array([-np.sinc(0.008 * 10 + 0.004 * 20), 1.0])
+        ),
+        0.0,
+        atol=1e-12,
+    ),
+    Claim(
+        "the corner of a natural spectrum is a cycle across the die",
+        lambda: (
+            numbers_of(
+                chain_of(metrics=request("information", information={"corner_cy_per_mm": 1 / 0.4})),
+                "information",
+            )[0]
+            / bits(0.15)
+        ),
+        1.0,
+        rtol=1e-12,
+    ),
+    # √n µ/√(µ + σ²) of dots of n pixels, of a wall of reflectance ½; in lines of √n pixels each.
+    *(
+        Claim(
+            f"illuminance at which a dot has an SNR of 10, with lines of {lines}",
+            lambda lines=lines: evaluated(
+                UNIFORM,
+                "snr10_lx",
+                metric=MetricOptions(snr10_lx={"reflectance": 0.5, "integration_s": TIME_S}),
+                pixel=PIXEL.model_copy(update=lines),
+            )["snr10_lx"],
+            (1 + math.sqrt(1 + 4 * DOT_PX**2 / 100 * (fixed_e2(chain_of()) + lines_e2 * DOT_PX)))
+            / (2 * DOT_PX**2 / 100)
+            / (TIME_S * chain_of().white_e_per_s)
+            * (math.pi * WHITE_CD_PER_M2 / 0.5),
+            rtol=1e-9,
+        )
+        for lines, lines_e2 in (({}, 0), (LINE_NOISE, 8**2 + 12**2))
+    ),
+    Claim(
+        "contrasts of uniform light have the noise of pixels and lines",
+        lambda: (
+            evaluated(
+                UNIFORM, "contrast_detection_probability", pixel=PIXEL.model_copy(update=LINE_NOISE)
+            )["contrast_detection_probability"]
+            / kernels.contrast_detection_probability(
+                UNIFORM_E,
+                0.1,
+                *np.sqrt(UNIFORM_E * np.array([1, 1.1]) + fixed_e2(chain_of()) + 208),
+            )
+        ),
+        1.0,
+        rtol=1e-6,
+        why="float32 of the light",
+    ),
+    *(
+        Claim(
+            f"white noise of pixels and lines is white noise of {name}",
+            lambda display=display: (
+                expected_noise_power(
+                    chain_of(
+                        SpectralImage(
+                            [550.0], 10.0, CELL_UM, data=UNIFORM.data[:100], header=UNIFORM.header
+                        ),
+                        display=DISPLAY.model_copy(update=display),
+                    ).development,
+                    RawNoise(np.full((50, 100), 4.0), column=2.0, row=3.0),
+                )
+                * DISPLAY.samples_per_deg**2
+            ),
+            4 / side**2
+            + 2 / side * rows * (np.arange(rows)[:, None] == 0)
+            + 3 / side * columns * (np.arange(columns) == 0),
+            rtol=1e-9,
+        )
+        for name, display, side, rows, columns in (
+            ("pixels that are shown", {"raster": "one_to_one"}, 1, 50, 100),
+            ("dots of 2 × 2", {"dots": 50, "interpolation": "nearest"}, 2, 23, 48),
+        )
+    ),
+    Claim(
+        "acutance of a sharpened picture",
+        lambda: numbers_of(
+            chain_of(
+                metrics=request("acutance"),
+                develop=Develop(sharpen_amount=0.5, sharpen_radius_px=1.5),
+            ),
+            "acutance",
+        ),
+        [
+            kernels.acutance(
+                CY_PER_DEG,
+                optics.diffraction_otf(CY_PER_MM, 550.0, CAMERA.effective_f_number)
+                * np.sinc(0.004 * CY_PER_MM) ** 3  # aperture and linear interpolation
+                * np.sinc(0.4 / 64 * CY_PER_MM)
+                * (1.5 - 0.5 * np.exp(-2 * (np.pi * 1.5 * 0.004 * CY_PER_MM) ** 2)),
+            )
+        ],
+        rtol=1e-4,
+        why="a band of 10 nm in place of one wavelength; the mask ends at 4 σ",
+    ),
     *(
         Claim(
             f"detectability is the signal over the noise, of a PRNU of {prnu:g}",
@@ -495,9 +754,6 @@ def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
     assert min(d_prime) < 0.995 * np.mean(d_prime)
 
 
-UNIFORM_SHARE = TIME_S * float(chain_of().signal_e_per_s.mean()) / chain_of().readout.saturation_e
-
-
 @pytest.mark.parametrize(
     ("contrast", "background", "factor", "reason"),
     [
@@ -506,10 +762,11 @@ UNIFORM_SHARE = TIME_S * float(chain_of().signal_e_per_s.mean()) / chain_of().re
         (1.0, 15.0, None, "pixels are full with the target"),
         (-0.05, 400.0, None, "pixels are full without the target"),
         (0.0, 1.0, None, "the target changes no pixel"),
-        (-0.05, 1.0, 19.0, ""),
-        (-0.05, 1.0, 21.0, DARKER),
-        (0.05, 1.0, (0.95 / UNIFORM_SHARE - 1) / 0.05, ""),
-        (0.05, 1.0, (1.05 / UNIFORM_SHARE - 1) / 0.05, "pixels are full with that much contrast"),
+        # 1 % of the mean below 0 is noise of a render.
+        (-0.05, 1.0, 20.19, ""),
+        (-0.05, 1.0, 20.21, DARKER),
+        (0.05, 1.0, (0.999 / UNIFORM_SHARE - 1) / 0.05, ""),
+        (0.05, 1.0, (1.001 / UNIFORM_SHARE - 1) / 0.05, "pixels are full with that much contrast"),
     ],
 )
 def test_contrast_factor_is_the_threshold_over_d_prime(
@@ -743,17 +1000,6 @@ def test_information_of_the_scene_does_not_depend_on_the_film() -> None:
     assert set(black.values()) == {0.0}
 
 
-def test_neq_is_the_quanta_less_noise_and_blur() -> None:
-    """q²/(q + 16 + rounding) a pixel, times the squared MTF: of the lens and sinc ½ at Nyquist."""
-    chain = chain_of()
-    frequency, neq = neq_along(chain.expected(TIME_S))
-    quanta = TIME_S * float(chain.signal_e_per_s.mean())
-    at_0 = quanta**2 / (quanta + fixed_e2(chain)) / 0.004**2
-    lens = float(optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
-    assert frequency[[0, -1]].tolist() == [0.0, 125.0]
-    np.testing.assert_allclose(neq[[0, -1]], at_0 * np.array([1, lens * 2 / math.pi]) ** 2, 1e-4)
-
-
 def test_veil_is_noise_and_no_signal() -> None:
     """With the glare g, and s times as much from outside, pixels see 1 + g s times the light, and
     (1 - g) of it are signal.
@@ -824,25 +1070,16 @@ def test_visual_noise_has_no_shading_that_is_corrected(correction) -> None:
     )
 
 
-def test_snr10_is_the_light_at_which_a_dot_has_it() -> None:
-    """√n µ/√(µ + σ²) of dots of n pixels, of a wall of reflectance ½."""
-    metric = MetricOptions(snr10_lx={"reflectance": 0.5, "integration_s": TIME_S})
-    lux = evaluated(UNIFORM, "snr10_lx", metric=metric)["snr10_lx"]
-    chain = chain_of()
-    mean_e = TIME_S * chain.white_e_per_s * 0.5 * lux / math.pi / WHITE_CD_PER_M2
-    snr_of_pixel = mean_e / math.sqrt(mean_e + fixed_e2(chain))
-    assert 400 / 64 / 4.0 * snr_of_pixel == pytest.approx(10, rel=1e-9)  # pixels across a dot
-
-
 @pytest.mark.parametrize("glare", [0.0, 0.2])
 def test_niirs_of_two_surfaces_in_a_veil(glare: float) -> None:
-    """GIQE-5 of their difference, 1 - g of that without, with the veil's shot noise."""
+    """GIQE-5 of their difference, 1 - g of that without, with the noise of the veil and of lines."""
     camera = CAMERA.model_copy(update={"veiling_glare": glare, "object_distance_m": 1000.0})
-    chain = chain_of(camera=camera, metrics=request("niirs"))
+    pixel = PIXEL.model_copy(update=LINE_NOISE)
+    chain = chain_of(camera=camera, metrics=request("niirs"), pixel=pixel)
     plain = chain_of(camera=camera.without_veil)
     white_e = TIME_S * plain.white_e_per_s * (1 - glare)
     veil_e = glare * TIME_S * float(plain.signal_e_per_s.mean())
-    snr = 0.08 * white_e / math.sqrt(0.15 * white_e + veil_e + fixed_e2(chain))
+    snr = 0.08 * white_e / math.sqrt(0.15 * white_e + veil_e + fixed_e2(chain) + 8**2 + 12**2)
     along, mtf = _mtf_along(chain.expected(TIME_S))
     expected = kernels.niirs(
         kernels.relative_edge_response(along * 0.004, mtf),
