@@ -335,7 +335,7 @@ def _make_monotonic(
     negative = np.minimum(samples, 0.0)
     fallen: Array | float = 0.0
     if negative.any():
-        fallen = (np.cumsum(negative, axis=0) - negative)[cell]
+        fallen = np.cumsum(negative, axis=0)[cell]
     rising = (rings & (samples >= 0))[cell]
     order = np.argsort(edges, kind="stable")
     highest = np.maximum.accumulate(np.where(rising, running - fallen, -np.inf)[order])

@@ -323,6 +323,23 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "values.col - values.row",
         "(2 * (values.col - values.row))",
     ): ("a wider band of a matrix, of zeros"),
+    **{
+        ("pixsim/sensor/integration.py", before, after): "a wider band of a matrix, of zeros"
+        for before, after in (
+            ("values.col - values.row", "values.col + values.row"),
+            ("3 * bandwidth", "(2 * (3 * bandwidth))"),
+            ("3 * bandwidth + 1", "(2 * (3 * bandwidth + 1))"),
+        )
+    },
+    ("pixsim/sensor/merge.py", "len(share) - 1", "(len(share) - 1) + 1"): (
+        "the last reading has all of what it leaves itself"
+    ),
+    ("pixsim/sensor/correction.py", "shading * balance", "(2 * (shading * balance))"): (
+        "light is relative to its largest value"
+    ),
+    ("pixsim/sensor/correction.py", "flat / shading", "(2 * (flat / shading))"): (
+        "outliers are relative to their spread, which light makes larger than that of rounding"
+    ),
     ("pixsim/viewer/scene_light.py", "len(self._cached) + 1", "(2 * (len(self._cached) + 1))"): (
         "how many tables are cached"
     ),

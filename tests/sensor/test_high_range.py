@@ -33,7 +33,14 @@ from pixsim.sensor.companding import decode, encode, packaged_knees, steps_dn
 from pixsim.sensor.correction import correct, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.merge import level_variance_e2, mean_weights, merged_level, merged_variance_e2
+from pixsim.sensor.merge import (
+    by_level,
+    level_variance_e2,
+    mean_weights,
+    merged_level,
+    merged_variance_e2,
+    switch_levels_e,
+)
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_notes import pixel_notes
 from pixsim.sensor.reading import Readout
@@ -280,6 +287,108 @@ NUMBERS = [
         "a split pixel is full where charge of light and dark fills its small photodiode",
         lambda: full_e(Readout.of(derive(pixel(KINDS["split"][0]))), TIME_S),
         (7900 - 80 * 0.1) / 0.01,
+        6,
+    ),
+    # A chord of x² errs by (r - 1)²/4r between levels in the ratio r, of 2048 over six decades, and
+    # by x² itself at half of the first of them.
+    (
+        "squares of many levels in a table err as chords do",
+        lambda: np.array(
+            [
+                max(
+                    error := by_level(
+                        np.square, level_e := np.append(0.5, np.geomspace(1.0, 1e6, 3000))
+                    )
+                    / level_e**2
+                    - 1
+                ),
+                1e5 * max(error[1:]),
+            ]
+        ),
+        [1.0, 1e5 * (1e6 ** (1 / 2047) - 1) ** 2 / 4 / 1e6 ** (1 / 2047)],
+        3,
+    ),
+    # Shares of the limit of the sensitive one, with its dark charge.
+    *(
+        (
+            f"weights of a blend of {kind} where it begins, half way, where it ends and beyond",
+            lambda kind=kind: mean_weights(
+                readout := Readout.of(
+                    derive(
+                        pixel(
+                            KINDS[kind][0]
+                            | {"merge": "blend", "blend_from_share": 0.4, "blend_to_share": 0.8},
+                            **DARK,
+                        )
+                    )
+                ),
+                np.array([0.4, 0.6, 0.8, 0.9]) * readout.readings[0].limit_e
+                - readout.readings[0].dark_e(TIME_S),
+                TIME_S,
+            ),
+            [[1, 0.5, 0, 0], [0, 0.5, 1, 1]],
+            9,
+        )
+        for kind in ("dual_gain", "split", "overflow")
+    ),
+    *(
+        (
+            f"four exposures of {level_e} e- of {kind} have the variance of the reading of one",
+            lambda kind=kind, level_e=level_e: level_variance_e2(
+                Readout.of(derive(pixel(KINDS[kind][0], **DARK))).burst(4),
+                np.array([4.0 * level_e]),
+                4 * TIME_S,
+            ),
+            [
+                4
+                * (response * level_e + dark_e + noise_e**2 + (limit_e / 4031) ** 2 / 12)
+                / response**2
+            ],
+            6,
+        )
+        for kind, level_e, response, dark_e, noise_e, limit_e in (
+            ("dual_gain", 300, 1, 50, 0.83, 22_000 * 49 / 200),
+            ("dual_gain", 15_000, 1, 50, 3.05, 22_000),
+            ("split", 4000, 1, 50, 0.83, 22_000),
+            ("split", 300_000, 0.01, 8, 2.96, 7900),
+            ("staggered", 200_000, 1 / 16, 50 / 16, 0.83, 22_000),
+        )
+    ),
+    # Valid up to the limits, of the second photodiode to 0.4 of it by the ratio of the gains.
+    (
+        "four exposures of several readings change theirs where one does, of charge and dark charge",
+        lambda: switch_levels_e(
+            Readout.of(
+                derive(
+                    pixel(
+                        {
+                            "validity_sigmas": 0,
+                            "collector": [{"name": "a"}, {"name": "b", "response": 0.05}],
+                            "reading": [
+                                {"name": "x", "collector": "a", "limit_e": 9900},
+                                {"name": "y", "collector": "b", "conversion_gain_uv_per_e": 100},
+                                {"name": "z", "collector": "b", "conversion_gain_uv_per_e": 40},
+                            ],
+                        },
+                        **DARK,
+                    )
+                )
+            ).burst(4),
+            4 * TIME_S,
+        ),
+        [4 * (9900 - 50), 4 * (0.4 * 22_000 - 50) / 0.05],
+        6,
+    ),
+    (
+        "a split pixel has a variance up to where light and dark charge fill its small photodiode",
+        lambda: np.isnan(
+            level_variance_e2(
+                Readout.of(derive(pixel(KINDS["split"][0]))),
+                (7900 - 80 * TIME_S) / 0.01 * np.array([1 - 1e-9, 1 + 1e-9]),
+                TIME_S,
+            )
+        ),
+        [0, 1],
         6,
     ),
     # Noise of four exposures adds up by squares, their patterns add up.

@@ -19,6 +19,7 @@ from pixsim.sensor.motion import border_with_motion_um
 from pixsim.sensor.photodiode import diode_of
 from pixsim.sensor.pixel import derive, given_efficiency, pitch_for_fill_factor_um
 from pixsim.sensor.pixel_options import Pixel, excluded_by
+from pixsim.sensor.raw import _check_image
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import (
     capture,
@@ -420,6 +421,27 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
             rng=DARKNESS,
         ),
         "irradiance: got values from nan",
+    ),
+    "a picture in colour of more samples than are read": (
+        lambda: [
+            _check_image(
+                type(
+                    "Picture",
+                    (),
+                    {
+                        "mode": "RGB",
+                        "tile": ";16",
+                        "width": 9459,
+                        "height": height,
+                        "getbands": tuple,
+                    },
+                ),
+                {},
+                "picture",
+            )
+            for height in (9459, 9460)  # 2²⁸/3 is 9459 × 9459.6
+        ],
+        "picture: got 3 × 9459 × 9460 samples",
     ),
     # pixels on a die
     "too many pixels": (lambda: pixel_count(2713.6, 1e-310), "pitch_um: .*on this die"),
