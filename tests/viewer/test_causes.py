@@ -61,6 +61,7 @@ from pixsim.viewer.noise_budget import (
     SHOT,
     VEIL,
     NoiseBudget,
+    _merged_variances,
     finer_adc,
     noise_budget,
     noiseless_frame,
@@ -194,6 +195,23 @@ CLAIMS = [
         lambda: ramp_on_sums_of_pixels(None, registration=(0.25, 0.75)),
         2 * (MIDDLES[:-1] + 2 / 5) - (MIDDLES[:-1, None] + 6 / 5),
         atol=1e-10,
+    ),
+    Claim(
+        "variances of the longer of two exposures: rounding, what varies along columns, of pixels,"
+        " with dark charge and light, along rows and in time, and shot noise of dark and light",
+        lambda: [
+            *_merged_variances(
+                readout_of(**ALL | {"readout": {"kind": "staggered", "ratio": 16.0}}),
+                np.array([1000.0]),
+                TIME_S,
+            ).values()
+        ],
+        [
+            (14_000 / (1023 - 200)) ** 2 / 12,
+            *(8.4**2, 11.2**2, 27**2, 4**2, 9**2, 12**2, 180, 1000),
+        ],
+        rtol=2e-5,
+        why="rounding of 2⁻⁸ codes is left",
     ),
     Claim(
         "headers of other programs state no share",

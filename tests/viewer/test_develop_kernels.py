@@ -39,12 +39,14 @@ from pixsim.viewer.demosaic import (
     demosaic_column_covariance,
     demosaic_covariance,
     demosaic_row_covariance,
+    remosaic,
 )
 from pixsim.viewer.denoising import anscombe, wiener
 from pixsim.viewer.denoising.filters import denoised_plane
 from pixsim.viewer.develop import measure_colour_chart, xyz_weights
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
+from pixsim.viewer.sharpening import unsharp_products
 
 DATA = Path(__file__).parents[1] / "data"
 D5100 = "Nikon_D5100/D55"
@@ -271,6 +273,11 @@ def flat_field(cell: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:
 
 WHOLE_NM = np.arange(360.0, 831.0)
 MOSAIC = np.random.default_rng(2).random((9, 12))
+DEVIATION = np.array([2.0, 1.0, 3.0])
+QUAD_DEVIATION = mosaic_of(np.broadcast_to(DEVIATION, (20, 20, 3)), QUAD)
+PLACE = np.moveaxis(np.indices((20, 20)), 0, -1)
+
+
 CLAIMS = [
     *(
         Claim(
@@ -347,6 +354,53 @@ CLAIMS = [
         for (name, cell), shape in product(PATTERNS.items(), ((17, 22), (6, 6)))
         for method in (*METHODS, "interpolate")
         if name in BAYER or method == "interpolate"
+    ),
+    Claim(
+        "noise of R, G and B behind bilinear of a quad made one of single pixels",
+        lambda: demosaic_covariance(QUAD, "bilinear", np.square(DEVIATION), remosaiced=True),
+        sum(
+            np.einsum("yxc,yxd->cd", picture, picture)
+            for place in PLACE[8:12, 8:12].reshape(16, 2)
+            for noise in [QUAD_DEVIATION * (place == PLACE).all(axis=2)]
+            for picture in [demosaic(remosaic(noise, QUAD), "rggb", "bilinear")]
+        )
+        / 16,
+        rtol=1e-12,
+    ),
+    Claim(
+        "offsets of columns behind bilinear of a quad made one of single pixels",
+        lambda: demosaic_column_covariance(QUAD, "bilinear", DEVIATION, remosaiced=True),
+        sum(
+            np.einsum("yxc,yxd->cd", picture[8:12], picture[8:12])
+            for column in range(8, 12)
+            for noise in [QUAD_DEVIATION * (PLACE[..., 1] == column)]
+            for picture in [demosaic(remosaic(noise, QUAD), "rggb", "bilinear")]
+        )
+        / 16,
+        rtol=1e-12,
+    ),
+    *(
+        Claim(
+            f"what all pixels of a channel share is in all dots of {dot_px} px, {interpolation}",
+            lambda dot_px=dot_px, interpolation=interpolation: demosaic_covariance(
+                ("RGB",),
+                "interpolate",
+                np.square(DEVIATION),
+                dot_px,
+                interpolation,
+                products=unsharp_products(0.7, 1.0),
+                correlations=[np.ones((99, 99))] * 3,
+            ),
+            np.diag(DEVIATION**2),
+            atol=1e-8,
+            why="a spline forgets its ends to 1e-9",
+        )
+        for dot_px, interpolation in (
+            (None, "linear"),
+            (1.3, "linear"),
+            (2.6, "nearest"),
+            (2.6, "cubic"),
+        )
     ),
     *(
         Claim(
