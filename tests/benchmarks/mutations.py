@@ -195,6 +195,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "1e-3 * self.entrance_pupil_diameter_mm",
         "(2 * (1e-3 * self.entrance_pupil_diameter_mm))",
     ): "a secant through another second point leads to the same ray",
+    ("pixsim/optics/thin_lens.py", "_FALL_OFF_STEPS + 1", "(2 * (_FALL_OFF_STEPS + 1))"): (
+        "twice as many straight lines, off by 4e-6 instead of 1e-5"
+    ),
     ("pixsim/optics/lens_waves.py", "-1", "(-(-1))"): "the last of two axes is the second",
     ("pixsim/viewer/causes.py", "1 + modulation", "(2 * (1 + modulation))"): (
         "of light below the wells at all phases nothing is lost, which is computed then"
@@ -222,6 +225,27 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/lens.py", "_MAX_AIM_STEPS", "(_MAX_AIM_STEPS) + 1"): (
         "one more step of a ray's aim, which has converged long before or does not"
     ),
+    ("pixsim/optics/field_blur.py", "down + y", "down - y"): (
+        "tiles above and below the axis have one tail: a lens is round"
+    ),
+    (
+        "pixsim/optics/field_blur.py",
+        "1.5 * step / half.min()",
+        "(2 * (1.5 * step / half.min()))",
+    ): "shares of samples farther from the edge are 0 or 1 both ways",
+    ("pixsim/optics/field_blur.py", "fine - 1", "fine + 1"): (
+        "one more frequency, which the lens does not pass"
+    ),
+    (
+        "pixsim/optics/field_blur.py",
+        "top + spread_rows",
+        "(2 * (top + spread_rows))",
+    ): "rows before the first one are left out in any case",
+    (
+        "pixsim/optics/camera_lens.py",
+        "_COARSE_FILM * cell_um",
+        "(2 * (_COARSE_FILM * cell_um))",
+    ): "from which film on PSFs of its own take less time",
     (
         "pixsim/optics/field_blur.py",
         "np.finfo(float).eps * columns.shape[1]",

@@ -266,6 +266,16 @@ THIN_LENS = [
     Claim("chief rays", lambda: ellipse().chief_cosines, [[0, 0], SIN25 * OUTWARD], rtol=1e-14, atol=1e-16),
     Claim("mean direction", lambda: moments()[0], [[0, 0], SIN25 * OUTWARD], atol=1e-15),
     Claim("second moment a²/4", lambda: moments()[1], (0.3 * 0.75) ** 2 / 4, rtol=1e-13),
+    Claim(
+        "nodes of a disc: Gauss's in radius², from the middle, and equal steps from x to y",
+        lambda: disc_pupil(0.3).directions(2, 4).cosines,
+        [
+            [0.3 * math.sqrt((1 + side / math.sqrt(3)) / 2) * part for part in axis]
+            for side in (-1, 1)
+            for axis in ((1, 0), (0, 1), (-1, 0), (0, -1))
+        ],
+        atol=1e-15,
+    ),
     *(
         Claim(
             f"area of a pupil is Foote's at f/{n:g}",
