@@ -420,11 +420,9 @@ class _Trial:
         )
 
     @property
-    def ends_e(self) -> Array:
-        """Charge without light, and the charge at which a frame ends."""
-        return np.array(
-            [self.readout.dark_current_e_per_s * self.time_s, self.readout.saturation_e]
-        )
+    def end_e(self) -> Array:
+        """Charge at which a frame ends."""
+        return np.array(self.readout.saturation_e)
 
     @cached_property
     def clipped_e(self) -> Array:
@@ -466,7 +464,7 @@ def _changes_frame(base: _Trial, other: _Trial) -> bool:
     least_e = RESOLVED * float(scatter_e.min())
     return (
         _differ(other.variance_e2(light_e), variance_e2, (RESOLVED * scatter_e) ** 2)
-        or _differ(other.ends_e, base.ends_e, least_e)
+        or _differ(other.end_e, base.end_e, least_e)
         or _differ(other.mean_e, base.mean_e, RESOLVED * scatter_e)
         or _differ(other.clipped_e, base.clipped_e, least_e)
     )

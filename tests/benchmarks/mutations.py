@@ -80,6 +80,21 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
         "charge_e - FARTHEST_SIGMAS * np.sqrt(charge_e2)",
     ): "tables of the upper end go on until pixels are full for sure",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "spread_e[0] * steps",
+        "(2 * (spread_e[0] * steps))",
+    ): "before the first signal of a table the mean of codes is straight",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "spread_e[-1] * steps[::-1]",
+        "(2 * (spread_e[-1] * steps[::-1]))",
+    ): "behind the last signal of a table the mean of codes is straight",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "signal_e[-1] - spread_e[-1] * steps[::-1]",
+        "(2 * (signal_e[-1] - spread_e[-1] * steps[::-1]))",
+    ): "behind the last signal of a table the mean of codes is straight",
     ("pixsim/light/tables.py", "len(lines) + 1", "(2 * (len(lines) + 1))"): (
         "a place behind the last line, where no comment stands"
     ),
@@ -128,6 +143,16 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "2 * _SPLINE_RANGE_PX",
         "(2 * (2 * _SPLINE_RANGE_PX))",
     ): "a spline forgets its ends to 1e-9 within the range",
+    (
+        "pixsim/viewer/demosaic.py",
+        "difference - np.roll(difference, -2, axis)",
+        "(2 * (difference - np.roll(difference, -2, axis)))",
+    ): "changes along both axes are compared with one another",
+    (
+        "pixsim/viewer/demosaic.py",
+        "size + range_px + period * last + 1",
+        "(2 * (size + range_px + period * last + 1))",
+    ): "products of pixels farther apart than any two of a dot",
     (
         "pixsim/viewer/denoising/anscombe.py",
         "_GAUSSIAN_STEPS + 1.0",

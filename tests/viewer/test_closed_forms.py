@@ -30,7 +30,7 @@ from pixsim.viewer import (
     sharpening,
     tone,
 )
-from pixsim.viewer.dark_clip import dark_clip
+from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.delta_e_statistics import delta_e_statistics
 from pixsim.viewer.denoising import anscombe, wiener
 from pixsim.viewer.metric_kernels.information_density import radial_spectrum
@@ -451,6 +451,29 @@ DEVELOPMENT = [
         lambda: demosaic._filtered_products(None, "linear", 3, (0.25, 0.5, 0.25)),
         [0.5, 0.25, 0.0],
     ),
+    # Weights of a dot of d pixels are its box behind a B-spline, whose products are
+    # ∫ (d - |t|) β(t + lag) dt/d² with the B-spline of twice the order.
+    *(
+        Claim(
+            f"products of the weights of pixels in a dot of 2.6 pixels, {interpolation}",
+            lambda interpolation=interpolation: demosaic._dot_products(2.6, interpolation, 5),
+            [
+                quad(
+                    lambda t, spline=spline, lag=lag: (2.6 - abs(t)) * spline(abs(t + lag)) / 2.6**2,
+                    -2.6,
+                    2.6,
+                    points=[-2, -1, 0, 1, 2],
+                )[0]
+                for lag in range(5)
+            ],
+            atol=1e-10,
+            why="quadrature",
+        )
+        for interpolation, spline in (
+            ("nearest", lambda t: max(1 - t, 0)),
+            ("linear", lambda t: (max(2 - t, 0) ** 3 - 4 * max(1 - t, 0) ** 3) / 6),
+        )
+    ),
     Claim(
         "Gaussian of the unsharp mask",
         lambda: sharpening.gaussian_taps(0.5) / sharpening.gaussian_taps(0.5).max(),
@@ -545,6 +568,31 @@ DEVELOPMENT = [
         why="half of the codes, and the density of half a code; next term (½/σ)²/6",
     ),
     Claim("clipping at 0 DN: spread", lambda: CLIP["spread_e"], 100.0, rtol=1e-12),
+    Claim(
+        "clipping at 0 DN in four exposures: each clips, and their noise adds up by squares",
+        lambda: [
+            dark_clip(DARK.burst(4), 0.12, 4e4)[name] / CLIP[name]
+            for name in ("spread_e", "spread_dn", "too_bright_e", "at_zero_fraction", "lightness")
+        ],
+        [2, 2, 4, 1, 1],
+        rtol=1e-12,
+    ),
+    Claim(
+        "dark pixels clip from 0.05 DN, and from a hundredth of their spread on",
+        lambda: [
+            int(clips_dark({"too_bright_e": excess_e, "spread_e": 20.0, "spread_dn": spread_dn}))
+            for spread_dn, excess_e in ((10.0, 0.199), (10.0, 0.201), (2.0, 0.499), (2.0, 0.501))
+        ],
+        [0, 1, 0, 1],
+    ),
+    Claim(
+        "a black level is at most half of the codes",
+        lambda: [
+            int("set pixel" in str(clip_note(CLIP | {"least_black_level_dn": dn}, {"bits": 10})))
+            for dn in (511, 512)
+        ],
+        [1, 0],
+    ),
     Claim(
         "clipping at 0 DN: lightness",
         lambda: [CLIP["lightness"], dark_clip(DARK, 0.03, 1.0)["lightness"]],

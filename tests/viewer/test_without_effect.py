@@ -464,8 +464,8 @@ def test_a_thousandth_of_the_scatter_is_resolved(share: float, names: set[str]) 
     ("exposure", "share", "time_s"),
     [
         ({"integration_s": 0.01}, 0.5, 0.01),
-        ({}, 0.95, 0.0618),
-        ({"flicker_hz": 100.0, "flicker_depth": 0.02}, 0.95, 0.00618),
+        ({}, 0.95, 0.05 * (math.sqrt(5) - 1)),
+        ({"flicker_hz": 100.0, "flicker_depth": 0.02}, 0.95, 0.005 * (math.sqrt(5) - 1)),
     ],
     ids=str,
 )
@@ -473,16 +473,16 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     exposure: dict[str, float], share: float, time_s: float
 ) -> None:
     """Half of the well in a stated time; else a golden part of the longest time, or of a period of
-    lamps. White is 1.1 times the brightest dot.
+    lamps. White is 1.1 times the brightest dot. Within 1 %, for the blur of the brightest part.
     """
     base = settings_of(Run(pixel=Pixel(**FAINT), exposure=Exposure(**exposure))).base
     camera = base.imaging.camera
     assert base.frame.dn.shape == (20, 20)
     fill = base.mean_e.max() / base.readout.saturation_e
-    assert (base.frame.integration_s, fill) == pytest.approx((time_s, share), rel=0.05)
+    assert (base.frame.integration_s, fill) == pytest.approx((time_s, share), rel=0.01)
     field = camera.fov_deg, *camera.die_um
     assert field == pytest.approx((Camera().fov_deg, 100.0, 100.0), rel=1e-9)
-    assert base.prepared.screen.ideal.max() == pytest.approx(1 / 1.1, abs=0.01)
+    assert base.prepared.screen.ideal.max() == pytest.approx(1 / 1.1, abs=0.002)
 
 
 @pytest.mark.parametrize("name", packaged("data/studies"))
