@@ -585,9 +585,9 @@ def find_outliers(picture: Array) -> list[tuple[int, int]]:
         return []
     outliers = [divmod(int(index), picture.shape[1]) for index in order[: gaps[-1] + 1]]
     brightest_other = values[gaps[-1] + 1]
+    # Of two neighbours one is in the other's row, or in the row below.
     neighbourhoods = [
-        picture[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
-        for row, column in outliers
+        picture[row : row + 2, max(column - 1, 0) : column + 2] for row, column in outliers
     ]
 
     # Brighter than the rest of the picture, alone among its neighbours.

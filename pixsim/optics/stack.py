@@ -429,7 +429,7 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
 
     # Sum over the nodes of each piece, then over the pieces of each boundary.
     shares = np.swapaxes(inside * rise[..., None], 1, 2) @ along
-    starts = np.flatnonzero(np.diff(point, prepend=-1))
+    _, starts = np.unique(point, return_index=True)
     total = np.add.reduceat(area, starts)
     return np.asarray(np.add.reduceat(shares, starts) / total[:, None, None])
 

@@ -98,6 +98,16 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/light/tables.py", "len(lines) + 1", "(2 * (len(lines) + 1))"): (
         "a place behind the last line, where no comment stands"
     ),
+    (
+        "pixsim/light/tables.py",
+        "_comment_titles(cells, width) + title_rows",
+        "(2 * (_comment_titles(cells, width) + title_rows))",
+    ): "titles that are read twice say the same",
+    (
+        "pixsim/optics/stack.py",
+        "middle_slope * before",
+        "(2 * (middle_slope * before))",
+    ): "whether a product is above 0",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

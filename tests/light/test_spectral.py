@@ -90,6 +90,13 @@ CLAIMS = [
         [1] * 5,
     ),
     Claim(
+        "an outlier needs two samples beside it",
+        lambda: [
+            len(spectral.find_outliers(1 + 1e6 * (np.arange(count)[None] == 0))) for count in (2, 3)
+        ],
+        [0, 1],
+    ),
+    Claim(
         "extremes of planes in a file",
         lambda: spectral.extremes(
             np.positive(
@@ -426,6 +433,10 @@ def test_reduced_to_fit_holds_limits(shape, bands, is_factored, columns, monkeyp
         ({(3, 4): 1e6}, [(3, 4)]),
         ({(0, 0): 99.0}, []),  # less than a hundred times the others
         ({(3, 4): 1e6, (3, 5): 1e6}, []),  # a line: neighbours are as bright
+        ({(3, 4): 1e6, (4, 3): 1e6}, []),
+        ({(3, 4): 1e6, (4, 5): 1e6}, []),
+        ({(3, 4): 1e6, (3, 6): 1e5}, [(3, 4), (3, 6)]),
+        ({(3, 4): 1e6, (5, 4): 1e5}, [(3, 4), (5, 4)]),
         ({(3, 4): 1e6, (30, 40): 1e5}, [(3, 4), (30, 40)]),
         ({(149, 149 - 2 * n): 1e6 for n in range(3)}, []),  # more than 1 in 10 000
     ],

@@ -26,6 +26,7 @@ from pixsim.optics.glass import (
     catalogue,
     code_glass,
     constant_glass,
+    dispersive_coefficients,
     read_catalogue,
     shifted,
 )
@@ -98,6 +99,18 @@ GLASSES = [
     Claim(
         "a melt", lambda: abbe(shifted(MELT, 7e-4, -0.05)) - abbe(MELT), [7e-4, -0.05], rtol=1e-9
     ),
+    *(
+        Claim(
+            f"coefficients of formula {formula} without which a glass has one index",
+            lambda formula=formula, count=count: dispersive_coefficients(formula, range(count)),
+            factors,
+        )
+        for formula, count, factors in (
+            (2, 7, [1, 3, 5]),
+            (4, 13, [1, 5, 9, 11]),
+            (7, 6, [1, 2, 3, 4, 5]),
+        )
+    ),
     Claim("no shift", lambda: abbe(shifted(MELT, 0.0, 0.0)), abbe(MELT)),
 ]
 
@@ -151,7 +164,7 @@ def test_catalogue_of_zemax_has_each_formula_of_its_manual(tmp_path, encoding: s
         numbers = [*coefficients, *([0.0] * (10 - len(coefficients)))]
         lines += [
             *("CC a glass", f"NM GLASS{formula} {formula} 517642 {n_d} 64.2 0 1", "GC nothing"),
-            *(f"CD {' '.join(map(repr, numbers))}", "TD 0 0 0 0 0 0 20", "LD 0.35 2.0"),
+            *(f"CD {' '.join(map(repr, numbers))}", "TD 0 0 0 0 0 0 20", "LD 0.35 2.0 0"),
         ]
     (tmp_path / "mine.agf").write_bytes("\n".join(lines).encode(encoding))
     glasses = read_catalogue(tmp_path / "mine.agf")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -128,6 +129,30 @@ CLAIMS = [
     Claim("which magnify -1 times", lambda: NEAR.paraxial_height_mm, 40.0, rtol=1e-12),
     Claim("and focus there", lambda: thickness_mm(NEAR.refocused("paraxial", 40.0)), 40.0, rtol=1e-12),
     Claim("a ray through a sphere", lambda: BALL.wavefront(0.0, 550.0, [0.0], [1.0]).y_mm[0, 0], crossing_mm(BALL), rtol=1e-12),
+    Claim(
+        "Broyden's method for a linear map ends after four steps (Gay, 1979)",
+        patch("pixsim.optics.lens._MAX_AIM_STEPS", 4)(
+            lambda: BALL._aimed_points(
+                np.zeros(1),
+                np.array([550.0]),
+                np.array([0.3]),
+                np.array([-0.2]),
+                pupil_x_mm=np.zeros((1, 1)),
+                pupil_y_mm=np.zeros((1, 1)),
+                inverse_jacobian=np.array([[[[9.0, 8.0], [-5.0, 12.0]]]]),
+            )
+        ),
+        [[[4.5]], [[-3.0]]],
+        atol=1e-13,
+    ),
+    Claim(
+        "and the secant method after one",
+        patch("pixsim.optics.lens._MAX_AIM_STEPS", 1)(
+            lambda: BALL._aimed_heights_mm(np.zeros(1), np.array([550.0]), np.array([5.0]))
+        ),
+        [0.0],
+        atol=1e-12,
+    ),
     Claim("a stop behind the lens: its middle", lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 2], [0, 0, 10.0], atol=1e-9),
     Claim(
         "its chief ray",

@@ -143,7 +143,9 @@ SAME: dict[str, tuple[str | bytes, str, str, float, float]] = {
         edited(TOML, "conic = 0.0|conic = 0.0\nasphere = { A4 = 0.0 }"), "lens.toml", "cooke_triplet", 20.0, 1e-7
     ),
     "neither tilted nor decentred": (
-        edited(ZMX, "  FLAP 0 6.3 0|  FLAP 0 6.3 0\n  SCBD 0 0 0\n  OBDC 0"), "lens.zmx", "US00583336-2-scaled.zmx", 24.0, 1e-9
+        edited(
+            ZMX, "  FLAP 0 6.3 0|  FLAP 0 6.3 0\n  SCBD 0 0 0\n  OBDC 0\n  IGNR 0 0", "MODE SEQ|MODE SEQ 0"
+        ), "lens.zmx", "US00583336-2-scaled.zmx", 24.0, 1e-9
     ),
     "stop by its surface": (
         edited(TOML, "stop_surface = 4|"), "lens.toml", "cooke_triplet", 14.0, 1e-7
