@@ -268,6 +268,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "1.5 * step / half.min()",
         "(2 * (1.5 * step / half.min()))",
     ): "shares of samples farther from the edge are 0 or 1 both ways",
+    **{
+        ("pixsim/optics/field_blur.py", "1 - _MIRRORED_PLACES", after): (
+            "how many spectra are cached"
+        )
+        for after in ("1 + _MIRRORED_PLACES", "(2 * (1 - _MIRRORED_PLACES))")
+    },
     ("pixsim/optics/field_blur.py", "fine - 1", "fine + 1"): (
         "one more frequency, which the lens does not pass"
     ),
