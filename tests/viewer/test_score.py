@@ -179,12 +179,18 @@ def test_pictures_are_rounded_and_clipped_to_the_display() -> None:
 
 @pytest.mark.parametrize(("share", "is_refused"), [(0.999, False), (1.001, True)])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_motion_takes_the_margin_on_both_sides(axis: int, share: float, is_refused: bool) -> None:
-    """The longest path is twice the room between the scored dots and the border of the pixels."""
-    call = {"pixel": Pixel(pitch_um=28.0), "exposure": Exposure(integration_s=0.01)}
+@pytest.mark.parametrize("lines_s", [0.0, 0.02])
+def test_motion_takes_the_margin_on_both_sides(
+    axis: int, lines_s: float, share: float, is_refused: bool
+) -> None:
+    """The longest path, of a row and until the last one is read, is twice the room between the
+    scored dots and the border of the pixels.
+    """
+    lines = {"shutter": "rolling", "line_time_us": 1e6 * lines_s * 28.0 / 2713.6} if lines_s else {}
+    call = {"pixel": Pixel(pitch_um=28.0), "exposure": Exposure(integration_s=0.01, **lines)}
     still = imaging_chain(chart(96), CAMERA, display=DISPLAY, border_um=100.0, **call)
     room_um = float(still.screen.dot_edges_um[axis][0]) - still.readout.physics.border_um
-    speed = 2 * room_um * share / 0.01
+    speed = 2 * room_um * share / (0.01 + lines_s)
     with pytest.raises(PixsimError, match="motion: got") if is_refused else nullcontext():
         imaging_chain(
             chart(96),
