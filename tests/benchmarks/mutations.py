@@ -80,6 +80,32 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)",
         "charge_e - FARTHEST_SIGMAS * np.sqrt(charge_e2)",
     ): "tables of the upper end go on until pixels are full for sure",
+    ("pixsim/viewer/raw_metrics.py", "half + 1", "(2 * (half + 1))"): (
+        "a table with more signals beyond the end, off by less than its 3e-3 of the slope's change"
+    ),
+    ("pixsim/viewer/raw_metrics.py", "full_e + width_e", "(2 * (full_e + width_e))"): (
+        "whether the last slope of a table, beyond 64 wells, is 0 or nearly"
+    ),
+    (
+        "pixsim/viewer/causes.py",
+        "white_e * (1 + modulation)",
+        "(2 * (white_e * (1 + modulation)))",
+    ): "light that no pixel loses has lost no lightness either",
+    (
+        "pixsim/viewer/shown_metrics.py",
+        "noise - noise.mean(dtype=float)",
+        "noise + noise.mean(dtype=float)",
+    ): "the eye's filter passes no mean",
+    (
+        "pixsim/viewer/shown_metrics.py",
+        "noise - noise.mean(dtype=float)",
+        "(2 * (noise - noise.mean(dtype=float)))",
+    ): "a ratio of two such spectra",
+    (
+        "pixsim/viewer/mtf.py",
+        "np.array(light.weight) / np.sum(light.weight)",
+        "(2 * (np.array(light.weight) / np.sum(light.weight)))",
+    ): "a ratio of two sums with the same weights",
     (
         "pixsim/viewer/raw_metrics.py",
         "spread_e[0] * steps",
@@ -158,6 +184,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "difference - np.roll(difference, -2, axis)",
         "(2 * (difference - np.roll(difference, -2, axis)))",
     ): "changes along both axes are compared with one another",
+    ("pixsim/viewer/demosaic.py", "size + range_px", "(2 * (size + range_px))"): (
+        "lags at which pixels have no dot together"
+    ),
+    ("pixsim/viewer/demosaic.py", "count + half_width", "(2 * (count + half_width))"): (
+        "products of pixels farther apart than those that are asked for"
+    ),
     (
         "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",

@@ -285,6 +285,7 @@ CLAIMS = [
             ({"bits": 16}, 7 * 1e4 / 65535, 7),
             ({"bits": 2}, 4e4, 3),
             ({"bits": 10, "black_level_dn": 1020}, 4e4, 3),
+            ({"bits": 16}, 8 * 1e4 / 65535, 8),
             ({"bits": 16}, 9 * 1e4 / 65535, 9),
         )
     ),
@@ -320,9 +321,9 @@ CLAIMS = [
                         black_level_dn=1000,
                         bits=16,
                     ).burst(count),
-                    count * 0.1 * share,
+                    count * 0.1 * share / (66 / 116) ** 3,
                     0.01,
-                    100.0,
+                    50.0,
                     0.0,
                 )
             ),
