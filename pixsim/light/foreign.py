@@ -510,7 +510,7 @@ def _first_gap(data: NDArray[Any], ignored: float) -> tuple[int, int, int] | Non
     """Row, column and band of the first value that stands for no data; a strip of the file is in
     memory at a time.
     """
-    for rows in strips(len(data), math.prod(data.shape[1:]), _GAP_VALUES):
+    for rows in strips(len(data), data[0].size, _GAP_VALUES):
         if index := first_where(data[rows] == ignored):
             return rows.start + index[0], index[1], index[2]
     return None

@@ -835,7 +835,7 @@ class _Block:
 
     lines: list[_Line] = field(default_factory=list)
     line: int = 0
-    number: int = -1
+    number: int = 0
 
     def all(self, *keywords: str) -> Iterator[_Line]:
         return (line for line in self.lines if line.keyword in keywords)

@@ -134,6 +134,142 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "middle_slope * before",
         "(2 * (middle_slope * before))",
     ): "whether a product is above 0",
+    (
+        "pixsim/optics/lens.py",
+        "1e-2 * self.entrance_pupil_diameter_mm",
+        "(2 * (1e-2 * self.entrance_pupil_diameter_mm))",
+    ): "rays are aimed from another first guess at the same points",
+    (
+        "pixsim/optics/lens.py",
+        "slope_y * stop_y",
+        "(2 * (slope_y * stop_y))",
+    ): "rays are aimed from another first guess at the same points",
+    (
+        "pixsim/optics/lens.py",
+        "1e-3 * _AIM_TOLERANCE * self.stop_semi_diameter_mm",
+        "(2 * (1e-3 * _AIM_TOLERANCE * self.stop_semi_diameter_mm))",
+    ): "a secant ends at 1e-12 of the stop, or a step later",
+    (
+        "pixsim/optics/lens.py",
+        "1e-3 * _AIM_TOLERANCE * self.stop_semi_diameter_mm",
+        "1e-3 * _AIM_TOLERANCE / self.stop_semi_diameter_mm",
+    ): "a secant ends at 1e-12 of the stop, or a step later",
+    (
+        "pixsim/optics/lens.py",
+        "1e-3 * _AIM_TOLERANCE",
+        "(2 * (1e-3 * _AIM_TOLERANCE))",
+    ): "a secant ends at 1e-12 of the stop, or a step later",
+    (
+        "pixsim/optics/lens.py",
+        "_AIM_TOLERANCE * self.stop_semi_diameter_mm",
+        "(2 * (_AIM_TOLERANCE * self.stop_semi_diameter_mm))",
+    ): "a secant has ended far within the tolerance, or far from it",
+    (
+        "pixsim/optics/lens.py",
+        "_AIM_TOLERANCE * self.stop_semi_diameter_mm",
+        "_AIM_TOLERANCE / self.stop_semi_diameter_mm",
+    ): "a secant has ended far within the tolerance, or far from it",
+    (
+        "pixsim/optics/lens.py",
+        "first + batch_size",
+        "(2 * (first + batch_size))",
+    ): "some of the polynomials are fitted twice",
+    (
+        "pixsim/optics/lens.py",
+        "first + batch_size",
+        "(first + batch_size) + 1",
+    ): "some of the polynomials are fitted twice",
+    (
+        "pixsim/optics/lens.py",
+        "-2",
+        "(-(-2))",
+    ): "of four axes, or of four steps, the last but one is the third",
+    (
+        "pixsim/optics/lens.py",
+        "x_mm / stop_mm - stop_x",
+        "(2 * (x_mm / stop_mm - stop_x))",
+    ): "twice a miss is 0 where the miss is",
+    (
+        "pixsim/optics/lens.py",
+        "y_mm / stop_mm - stop_y",
+        "(2 * (y_mm / stop_mm - stop_y))",
+    ): "twice a miss is 0 where the miss is",
+    (
+        "pixsim/optics/lens.py",
+        "start_mm + 1e-3 * self.entrance_pupil_diameter_mm",
+        "(2 * (start_mm + 1e-3 * self.entrance_pupil_diameter_mm))",
+    ): "a secant through another second point leads to the same ray",
+    (
+        "pixsim/optics/lens.py",
+        "start_mm + 1e-3 * self.entrance_pupil_diameter_mm",
+        "start_mm - 1e-3 * self.entrance_pupil_diameter_mm",
+    ): "a secant through another second point leads to the same ray",
+    (
+        "pixsim/optics/lens.py",
+        "stop_x_mm / stop_mm",
+        "stop_x_mm * stop_mm",
+    ): "rays that met their points are aimed at them again",
+    (
+        "pixsim/optics/lens.py",
+        "stop_x_mm / stop_mm - stop_x",
+        "(2 * (stop_x_mm / stop_mm - stop_x))",
+    ): "rays that met their points are aimed at them again",
+    (
+        "pixsim/optics/lens.py",
+        "stop_y_mm / stop_mm",
+        "stop_y_mm * stop_mm",
+    ): "rays that met their points are aimed at them again",
+    (
+        "pixsim/optics/lens.py",
+        "stop_y_mm / stop_mm - stop_y",
+        "(2 * (stop_y_mm / stop_mm - stop_y))",
+    ): "rays that met their points are aimed at them again",
+    ("pixsim/optics/lens.py", "1", "(1) + 1"): "the same edge, between places farther apart",
+    (
+        "pixsim/optics/lens.py",
+        "_MIDDLE_STEPS + 1",
+        "(_MIDDLE_STEPS + 1) + 1",
+    ): "a search for slivers below 1e-4 of a pupil, with 1e-6 of its light",
+    (
+        "pixsim/optics/lens.py",
+        "_MIDDLE_STEPS + 1",
+        "(2 * (_MIDDLE_STEPS + 1))",
+    ): "a search for slivers below 1e-4 of a pupil, with 1e-6 of its light",
+    (
+        "pixsim/optics/stack.py",
+        "next_angle - angle",
+        "(2 * (next_angle - angle))",
+    ): "one more step of a search that has converged",
+    (
+        "pixsim/optics/stack.py",
+        "NEWTON_STEPS if angle.size else 0",
+        "(NEWTON_STEPS if angle.size else 0) + 1",
+    ): "one more step of a search that has converged long before",
+    (
+        "pixsim/optics/stack.py",
+        "2 * math.pi * widest * stack.pitch_um / (1e-3 * wavelength_nm)",
+        "(2 * (2 * math.pi * widest * stack.pitch_um / (1e-3 * wavelength_nm)))",
+    ): "more rays than a spot needs",
+    (
+        "pixsim/optics/ray_trace.py",
+        "NEWTON_STEPS",
+        "(NEWTON_STEPS) + 1",
+    ): "one more step of a search that has converged long before",
+    (
+        "pixsim/optics/glass.py",
+        "_AGF_NUMBERS",
+        "(_AGF_NUMBERS) + 1",
+    ): "no formula has an eleventh number",
+    (
+        "pixsim/light/tables.py",
+        "-_MAX_TITLES",
+        "(-_MAX_TITLES) + 1",
+    ): "how many rows of titles are looked at",
+    (
+        "pixsim/light/tables.py",
+        "len(lines) + 1",
+        "len(lines) - 1",
+    ): "titles above no numbers, which are refused",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -472,12 +472,12 @@ def transmitted(reflectance: np.ndarray) -> float:
 
 
 STACKED = [1.0, INDEX, 1.5, 1.0, INDEX, 1.0]
+CURVED = Surface(0.1, 1.0, GLASS)
 
 
 def ghost_shares(coated: float | None) -> float:
-    surfaces = [Surface(0.1, 1.0, constant_glass("a", n)) for n in STACKED[1:]]
-    reflectance = reflectances(STACKED, coated)
-    return sum(ghost.share for ghost in find_ghosts(surfaces, STACKED, reflectance, 1.0, 0.0))
+    ghosts = find_ghosts([CURVED] * 5, STACKED, reflectances(STACKED, coated), 1.0, 0.0)
+    return sum(ghost.share for ghost in ghosts)
 
 
 GHOST_MM = (INDEX - 1) * 50.0 / (3 * INDEX - 1)
@@ -523,6 +523,14 @@ RAYS = [
         )
         for coated in (None, 0.002)
         for r in [reflectances(STACKED, coated)]
+    ),
+    Claim(
+        "ghosts, the largest share first",
+        lambda: [
+            ghost.surfaces
+            for ghost in find_ghosts([CURVED] * 5, STACKED, reflectances(STACKED), 1.0, 0.0)[:4]
+        ],
+        [(4, 5), (1, 4), (1, 5), (3, 4)],
     ),
     *(
         Claim(
@@ -902,9 +910,9 @@ STACKS_IN_CLOSED_FORM = [
         Claim(
             f"shares of a round pupil on the axis, wherever its boundary begins, of {stack}",
             lambda stack=stack: collected_shares(
-                stack, disc_pupil(0.45, np.zeros(240), np.arange(0, 360, 1.5))
+                stack, disc_pupil(0.45, np.zeros(300), np.arange(0, 360, 1.2))
             ),
-            np.tile(collected_shares(stack, disc_pupil(0.45)), (240, 1, 1)),
+            np.tile(collected_shares(stack, disc_pupil(0.45)), (300, 1, 1)),
             atol=1e-14,
         )
         for stack in (Stack(2.2, 1.3, 3.5, 1.5), Stack(2.2, 1.3, 3.5, 1.5, microlens=False))

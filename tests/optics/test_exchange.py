@@ -135,6 +135,12 @@ LAYOUTS = {
     "from below": lambda path: write_exr(
         path / "a.exr", stokes(light()), emissiveUnits=UNIT, lineOrder=OpenEXR.DECREASING_Y
     ),
+    "another origin": lambda path: write_exr(
+        path / "a.exr",
+        stokes(light()),
+        emissiveUnits=UNIT,
+        **dict.fromkeys(("dataWindow", "displayWindow"), tuple(np.int32([[-9, -9], [-5, -6]]))),
+    ),
     **{
         name: lambda path, planes=planes: write_exr(path / "a.exr", planes, emissiveUnits=UNIT)
         for name, planes in CHANNELS.items()

@@ -16,7 +16,7 @@ from pixsim import PixsimError, load_lens, optics
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
 from pixsim.optics.lens import Lens, lens_from_prescription
-from pixsim.optics.prescription import Prescription, Surface
+from pixsim.optics.prescription import Prescription, Surface, Vignetting
 
 DATA = Path(__file__).parents[1] / "data" / "lenses"
 LENSES = (
@@ -262,6 +262,39 @@ CLAIMS = [
         replace(BEHIND, object_distance_mm=np.inf).ghosts(550.0)[0].blur_mm,
         rtol=1e-6,
         why="the limit",
+    ),
+    Claim(
+        "and of a near one, of the ray from the axis through the edge of the pupil",
+        lambda: replace(BEHIND, object_distance_mm=100.0).ghosts(550.0)[0].blur_mm,
+        optics.ghosts.find_ghosts(
+            BEHIND.prescription.surfaces,
+            [1.0, 1.5, 1.0, 1.0],
+            np.array([0.04, 0.04, 0.0]),
+            3.0 * (1 - BEHIND.first_order(550.0).entrance_pupil_from_first_vertex_mm / 100.0),
+            0.03,
+        )[0].blur_mm,
+        rtol=1e-12,
+    ),
+    Claim(
+        "lengths of a prescription twice as large",
+        lambda: [
+            number
+            for lens in [
+                Prescription(
+                    *("lengths", "", "", (Surface(0.1, 3.0, GLASS, 0.0, ((3, 1e-3), (4, 1e-5)), 2.0),)),
+                    *(0, "stop_diameter", 5.0, "object_height", 4.0, (550.0,), 550.0, 7.0),
+                    (Vignetting(4.0),),
+                ).scaled(2.0)
+            ]
+            for surface in lens.surfaces
+            for number in (
+                *(surface.curvature_per_mm, surface.thickness_mm, surface.semi_diameter_mm),
+                *(surface.asphere[0][1], surface.asphere[1][1], lens.aperture_value),
+                *(lens.field_value, lens.object_distance_mm, lens.vignetting[0].field_value),
+            )
+        ],
+        [0.05, 6.0, 4.0, 1e-3 / 4, 1e-5 / 8, 10.0, 8.0, 14.0, 8.0],
+        rtol=1e-15,
     ),
     Claim("heights of a lens twice as large", lambda: TWICE.chief_ray(25.0, 550.0).height_mm, 2 * PHONE.chief_ray(25.0, 550.0).height_mm, rtol=1e-12),
     Claim("beyond the stop", lambda: np.isnan(PHONE.opd_waves(25.0, 550.0, 0.9, 0.9)), 1.0),
