@@ -281,6 +281,83 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/lens.py", "below / 2", "(2 * (below / 2))"): (
         "the same root, found in more steps"
     ),
+    **{
+        (
+            "pixsim/optics/camera_lens.py",
+            before,
+            after,
+        ): "where a table that is 0 ends, beyond the die"
+        for before, after in (
+            (
+                "max(corner_mm, circle_mm + 2 * step_mm) * (1 + _CORNER_MARGIN)",
+                "(2 * (max(corner_mm, circle_mm + 2 * step_mm) * (1 + _CORNER_MARGIN)))",
+            ),
+            ("circle_mm + 2 * step_mm", "circle_mm - 2 * step_mm"),
+            ("circle_mm + 2 * step_mm", "(2 * (circle_mm + 2 * step_mm))"),
+            ("2 * step_mm", "2 / step_mm"),
+            ("2 * step_mm", "(2 * (2 * step_mm))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/camera_lens.py",
+            before,
+            after,
+        ): "the end of an image circle is found to 1 %, from whichever field beyond"
+        for before, after in (
+            ("corner_mm / lens.paraxial_height_mm", "corner_mm * lens.paraxial_height_mm"),
+            ("corner_mm / lens.paraxial_height_mm", "(2 * (corner_mm / lens.paraxial_height_mm))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/camera_lens.py",
+            before,
+            after,
+        ): "for how many tiles beyond the die there are PSFs, each computed if it is needed"
+        for before, after in (
+            (
+                "tiling.psf_um + _SPARE_TILES * tiling.spacing_um",
+                "tiling.psf_um - _SPARE_TILES * tiling.spacing_um",
+            ),
+            (
+                "tiling.psf_um + _SPARE_TILES * tiling.spacing_um",
+                "(2 * (tiling.psf_um + _SPARE_TILES * tiling.spacing_um))",
+            ),
+            ("_SPARE_TILES * tiling.spacing_um", "(2 * (_SPARE_TILES * tiling.spacing_um))"),
+            ("_SPARE_TILES * tiling.spacing_um", "_SPARE_TILES / tiling.spacing_um"),
+            ("side_um / 2 + margin_um", "(2 * (side_um / 2 + margin_um))"),
+            ("side_um / 2", "side_um * 2"),
+            ("side_um / 2", "(2 * (side_um / 2))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/camera_lens.py",
+            before,
+            after,
+        ): "Gauss's nodes do not depend on the scale and the zero of the wavelengths"
+        for before, after in (
+            ("(nm[-1] + nm[0]) / 2", "(nm[-1] + nm[0]) * 2"),
+            ("(nm[-1] + nm[0]) / 2", "(2 * ((nm[-1] + nm[0]) / 2))"),
+            ("nm[-1] + nm[0]", "nm[-1] - nm[0]"),
+            ("nm[-1] + nm[0]", "(2 * (nm[-1] + nm[0]))"),
+            ("(nm[-1] - nm[0]) / 2", "(nm[-1] - nm[0]) * 2"),
+            ("(nm[-1] - nm[0]) / 2", "(2 * ((nm[-1] - nm[0]) / 2))"),
+            ("nm[-1] - nm[0]", "nm[-1] + nm[0]"),
+            ("nm[-1] - nm[0]", "(2 * (nm[-1] - nm[0]))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/camera_lens.py",
+            before,
+            after,
+        ): "one more step towards the focal length that it has"
+        for before, after in (
+            ("_VIEW_STEPS if same_view else 1", "(_VIEW_STEPS if same_view else 1) + 1"),
+        )
+    },
     ("pixsim/optics/camera_lens.py", "_CIRCLE_STEPS", "(_CIRCLE_STEPS) + 1"): (
         "one more attempt at a smaller circle, where the last one has succeeded long before"
     ),
@@ -440,7 +517,104 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         ("pixsim/optics/field_blur.py", "1 - _MIRRORED_PLACES", after): (
             "how many spectra are cached"
         )
-        for after in ("1 + _MIRRORED_PLACES", "(2 * (1 - _MIRRORED_PLACES))")
+        for after in (
+            "1 + _MIRRORED_PLACES",
+            "(2 * (1 - _MIRRORED_PLACES))",
+            "(1 - _MIRRORED_PLACES) + 1",
+        )
+    },
+    **{
+        (
+            "pixsim/optics/field_blur.py",
+            before,
+            after,
+        ): "frequencies that the lens does not pass, or that the film does not show"
+        for before, after in (
+            (
+                "math.hypot(self.last_frequency, self.last_frequency) / self.period_um",
+                "math.hypot(self.last_frequency, self.last_frequency) * self.period_um",
+            ),
+            (
+                "math.hypot(self.last_frequency, self.last_frequency) / self.period_um",
+                "(2 * (math.hypot(self.last_frequency, self.last_frequency) / self.period_um))",
+            ),
+            ("max_cy_per_um * side * pitch_um", "(2 * (max_cy_per_um * side * pitch_um))"),
+            ("max_cy_per_um * side", "(2 * (max_cy_per_um * side))"),
+        )
+    },
+    **{
+        ("pixsim/optics/field_blur.py", before, after): "the same intensity on finer samples"
+        for before, after in (
+            (
+                "2 * float(front_numbers[:2].max()) / front.wavelength_nm",
+                "(2 * (2 * float(front_numbers[:2].max()) / front.wavelength_nm))",
+            ),
+            ("2 * float(front_numbers[:2].max())", "(2 * (2 * float(front_numbers[:2].max())))"),
+            (
+                "math.ceil(2 * size_um / UM_PER_NM * cutoff_per_nm) + 2",
+                "(2 * (math.ceil(2 * size_um / UM_PER_NM * cutoff_per_nm) + 2))",
+            ),
+            (
+                "2 * size_um / UM_PER_NM * cutoff_per_nm",
+                "(2 * (2 * size_um / UM_PER_NM * cutoff_per_nm))",
+            ),
+            ("2 * size_um / UM_PER_NM", "(2 * (2 * size_um / UM_PER_NM))"),
+            ("2 * size_um", "(2 * (2 * size_um))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/field_blur.py",
+            before,
+            after,
+        ): "rows and columns beyond all tiles, which are cut off"
+        for before, after in (
+            ("n + 2 * before + self.cells - 1", "n + 2 * before + self.cells + 1"),
+            ("n + 2 * before + self.cells - 1", "(2 * (n + 2 * before + self.cells - 1))"),
+            ("n + 2 * before + self.cells", "(2 * (n + 2 * before + self.cells))"),
+            ("n + 2 * before", "(2 * (n + 2 * before))"),
+            ("2 * before", "(2 * (2 * before))"),
+            ("width - first[1]", "width + first[1]"),
+            ("width - first[1]", "(2 * (width - first[1]))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/field_blur.py",
+            before,
+            after,
+        ): "how many columns of tiles are spread at once, or how far a progress bar has come"
+        for before, after in (
+            ("2 * height * self._spread_shape[1]", "(2 * (2 * height * self._spread_shape[1]))"),
+            ("2 * height", "(2 * (2 * height))"),
+            ("batch.stop / (across + 1)", "batch.stop * (across + 1)"),
+            ("batch.stop / (across + 1)", "(2 * (batch.stop / (across + 1)))"),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/field_blur.py",
+            before,
+            after,
+        ): "coefficients of splines that no place needs"
+        for before, after in (
+            (
+                "math.ceil(max(row.max(), column.max())) + _SPLINE_COEFFICIENTS",
+                "(2 * (math.ceil(max(row.max(), column.max())) + _SPLINE_COEFFICIENTS))",
+            ),
+        )
+    },
+    **{
+        (
+            "pixsim/optics/field_blur.py",
+            before,
+            after,
+        ): "nodes of Gauss's quadrature are as far from one end as from the other"
+        for before, after in (("1 + node", "1 - node"),)
+    },
+    **{
+        ("pixsim/optics/field_blur.py", before, after): "0 is added to the real part"
+        for before, after in (("otf.real + np.zeros_like(otf)", "otf.real - np.zeros_like(otf)"),)
     },
     ("pixsim/optics/field_blur.py", "fine - 1", "fine + 1"): (
         "one more frequency, which the lens does not pass"

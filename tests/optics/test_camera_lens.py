@@ -72,6 +72,7 @@ from pixsim.optics.field_blur import (
     _share_inside,
     _spline_values,
     _tile_psfs,
+    _turned_window_cells,
     cutoff_per_um,
     distinct_tiles,
     farthest_tile_um,
@@ -133,8 +134,12 @@ def thin_lens_light(
 def aberrated(u: np.ndarray, v: np.ndarray, tangent: float) -> np.ndarray:
     """Return spherical aberration, coma, astigmatism and field curvature, in waves."""
     square = u**2 + v**2
-    coma = 1.5 * tangent * v * square
-    return 0.3 * square**2 + coma + 6 * tangent**2 * v**2 - 4 * tangent**2 * square
+    return (
+        0.3 * square**2
+        + 1.5 * tangent * v * square
+        + 6 * tangent**2 * v**2
+        - 4 * tangent**2 * square
+    )
 
 
 @pytest.fixture(scope="module")
@@ -165,8 +170,9 @@ def spline_between_cells(frequency: float, shift: float) -> complex:
     relative to the wave.
     """
     wave = np.exp(2j * np.pi * frequency * np.arange(40))
-    moved = ndimage.shift(wave, -shift, order=5, mode="grid-wrap")
-    return (moved / wave)[0] * np.exp(-2j * np.pi * frequency * shift)
+    return ndimage.shift(wave, -shift, order=5, mode="grid-wrap")[0] * np.exp(
+        -2j * np.pi * frequency * shift
+    )
 
 
 def softening(cy_per_mm: np.ndarray, nm: float) -> np.ndarray:
@@ -180,8 +186,9 @@ def ideal_light_at(f_number: float) -> ChannelWavefronts:
 def softened_otf() -> np.ndarray:
     """Return the OTF of 550 and 650 nm through an f/200 and a transfer that differs for them."""
     (front,) = ideal_light_at(200.0).fronts
-    fronts = [front, replace(front, wavelength_nm=650.0)]
-    light = ChannelWavefronts(fronts, np.array([0.3, 0.7]), softening)
+    light = ChannelWavefronts(
+        [front, replace(front, wavelength_nm=650.0)], np.array([0.3, 0.7]), softening
+    )
     return otf_along(periodic_psf(light, 0.0, 0.0, 20.0, 400), 20.0)[1]
 
 
@@ -394,14 +401,15 @@ KERNELS = [
         Claim(
             f"PSFs reach as far as tiles and points amid them: {cells} cells, {spacing} apart",
             lambda cells=cells, spacing=spacing, psf_cells=psf_cells: max(
-                farthest_tile_um((cells, cells), 1.0, spacing, psf_cells),
-                (cells / 2 + 1.5 * spacing) * math.sqrt(2),  # around a corner that is amid tiles
+                farthest_tile_um((cells, cells), 0.7, spacing, psf_cells),
+                0.7 * (cells / 2 + 1.5 * spacing) * math.sqrt(2),  # around a corner amid tiles
                 *(
-                    math.hypot(*place) * spacing
+                    math.hypot(*place) * spacing * 0.7
                     for place in distinct_tiles((cells + psf_cells - 1,) * 2, spacing)
                 ),
             ),
-            farthest_tile_um((cells, cells), 1.0, spacing, psf_cells),
+            math.sqrt(2) * (math.ceil((cells + psf_cells - 2) / 2 / spacing) + 1.5) * spacing * 0.7,
+            rtol=1e-12,
         )
         for cells, spacing, psf_cells in (
             (128, 5, 9),
@@ -444,6 +452,26 @@ KERNELS = [
         (0.03 * np.pi) ** 4 * (1 - 0.81**-1) * (3 - 7 * 0.81**-1) / 360,
         rtol=0.03,
         why="the next term, (2πf)²",
+    ),
+    *(
+        Claim(
+            f"waves of {f} in cells of another size, corrected by five samples",
+            lambda f=f: moved_error(
+                Distortion(HEIGHTS_MM, HEIGHTS_MM - HEIGHTS_MM**3 / 30), 1e9, np.array([0.0, f])
+            )[0, 1],
+            abs(1 - np.sinc(f / 0.9) * (1 + (1 - 0.9**-2) / 24 * curvature.real) / np.sinc(f)),
+            rtol=1e-6,
+            why="a radial scale of 0.9 in the corner",
+        )
+        for f in (0.1, 0.2)
+        for wave in [np.exp(2j * np.pi * f * np.arange(-2, 3))]
+        for curvature in [wave @ np.array([-1, 16, -30, 16, -1]) / 12]
+    ),
+    Claim(
+        "a picture that is as much larger as its film costs nothing",
+        lambda: moved_error(Distortion(HEIGHTS_MM, 1.2 * HEIGHTS_MM), 9.0, np.array([0.0, 0.2])),
+        np.zeros((2, 2)),
+        atol=1e-12,
     ),
     Claim(
         "a transfer behind the lens multiplies the OTF of each wavelength",
@@ -694,16 +722,16 @@ KERNELS = [
     ),
     *(
         Claim(
-            "a cosine in a veil has its MTF",
+            f"cosines of {rows} and {columns} half periods in a veil have its MTF",
             lambda cosine=cosine: TILES._with_tails_as_veil(1 + cosine, cosine),
-            1
-            + cosine
-            + cosine * veil_mtf(np.hypot(1 / 9e-3 / 2, 3 / 17e-3 / 4), 10 / math.sqrt(np.pi)),
-            atol=1e-5,
+            1 + cosine + cosine * veil_mtf(frequency, 10 / math.sqrt(np.pi)),
+            atol=1.5e-7,
             why="a table",
         )
-        for down, across in [(np.arange(0.5, 9) / 9, np.arange(0.5, 17) / 17)]
-        for cosine in [np.cos(2 * np.pi * down)[:, None] * np.cos(3 * np.pi * across)]
+        for rows, columns in ((2, 3), (8, 15))
+        for frequency in [np.hypot(rows / 9, columns / 17) / (2 * 2e-3)]
+        for down in [np.cos(rows * np.pi * np.arange(0.5, 9) / 9)]
+        for cosine in [np.outer(down, np.cos(columns * np.pi * np.arange(0.5, 17) / 17))]
     ),
     *(
         Claim(
@@ -911,6 +939,45 @@ KERNELS = [
         ],
         [1.0],
         rtol=1e-9,
+    ),
+    Claim(
+        "a lens is in focus over the field of its die",
+        lambda: (
+            lens_in(with_lens("singlet", 4.0, focal_length_mm=20.0, refocus="field")).image_scale_mm
+            - (lens := load_lens("singlet"))
+            .scaled(20 / lens.first_order(lens.primary_nm).focal_length_mm)
+            .refocused("field", 5e3, math.degrees(math.atan(math.hypot(4.0, 4.0) / 2 / 20)), None)
+            .image_scale_mm
+        ),
+        0.0,
+        atol=1e-4,
+        why="its f-number in nine digits",
+    ),
+    Claim(
+        "PSFs of 9 coarse cells: all of 36 frequencies that have no Nyquist frequency",
+        lambda: radial_psfs(ideal_light_at(8.0), 40.0, 9, 16.0, 50.0).last_frequency,
+        17,
+    ),
+    Claim(
+        "odd windows of turned PSFs, fast ones with 48 cells around these",
+        lambda: [_turned_window_cells(cells) for cells in (33, 35)],
+        [81, 99],
+    ),
+    *(
+        Claim(
+            "a film whose Nyquist frequency is just beyond a lens's cut-off shows its OTF",
+            lambda pitch_um=pitch_um: otf_along(
+                periodic_psf(ideal_light_at(8.0), 0.0, 0.0, pitch_um, 400), pitch_um
+            )[1],
+            sum(
+                _band_weight(f) * optics.diffraction_otf(1e3 * f / pitch_um, NM, math.hypot(8, 0.5))
+                for f in (frequency, 1 - frequency)
+            ),
+            atol=1e-3,
+            why="samples of the pupil",
+        )
+        for pitch_um in [0.48 * NM * 1e-3 * math.hypot(8, 0.5)]
+        for frequency in [np.arange(200) / 400]
     ),
     Claim(
         "the memory of a PSF is its coefficients from -1 to the last frequency, both ways",
@@ -1291,6 +1358,7 @@ def test_thin_lens_has_the_real_ones_light_on_the_axis_and_its_chief_rays(file: 
         ("light", foote[0], lens.projected_solid_angle_sr(0.0, nm), 1e-10),
         ("image distance", camera.image_distance_mm, lens.paraxial_height_mm, 1e-8),
         ("losses", camera.transmittance, 0.8, 0.0),
+        ("distortion up to there", camera_distortion(camera).height_mm[-1], heights_mm[-1], 0.0),
         ("a corner, and 1e-6", heights_mm[-1], math.hypot(5.0, 5.0) * (1 + 1e-6), 7e-7),
         ("chief ray", np.interp(4.0, heights_mm, angles_deg), angle, 1e-3),
         (
@@ -1319,11 +1387,13 @@ def test_thin_lens_has_the_real_ones_light_on_the_axis_and_its_chief_rays(file: 
 def test_lens_of_a_user_that_is_scaled_to_the_die_is_noted(tmp_path: Path) -> None:
     """A lens that is bought has one focal length."""
     (tmp_path / "mine.toml").write_text(SINGLET)
+    lens = load_lens("singlet")
+    end_mm = float(lens.chief_ray(lens.max_field_deg, lens.primary_nm).height_mm)
     with pytest.warns(UserWarning, match=r"is scaled so .*lens\.focal_length_mm = "):
-        with_lens(tmp_path / "mine.toml", 10.0)
-    first = load_lens("singlet").first_order(587.56)
+        with_lens(tmp_path / "mine.toml", 1.0101 * math.sqrt(2) * end_mm)
     with warnings.catch_warnings(action="error"):
-        with_lens(tmp_path / "mine.toml", 10.0, focal_length_mm=first.focal_length_mm)
+        with_lens(tmp_path / "mine.toml", 1.0099 * math.sqrt(2) * end_mm)
+        with_lens(tmp_path / "mine.toml", 10.0, focal_length_mm=20.0)
         with_lens("cooke_triplet", 10.0)
 
 
@@ -1375,8 +1445,9 @@ def test_changed_file_is_seen(tmp_path: Path) -> None:
 def test_options_make_the_camera_again() -> None:
     assert "lens" not in Camera().model_dump()
     camera = with_lens("singlet", 4.0)
-    plain = camera.options.over(Camera())
-    assert camera_with_lens(plain, camera.options, camera.lens_options) == camera
+    assert camera == camera_with_lens(
+        camera.options.over(Camera()), camera.options, camera.lens_options
+    )
 
 
 def test_lens_on_another_die_sees_the_same_field() -> None:
@@ -1517,11 +1588,15 @@ def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
 
 
 def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
-    camera = rendered_camera(GAUSS)
     distortion = camera_distortion(GAUSS)
-    assert camera.lens is None
-    assert camera.die_mm / GAUSS.die_mm == distortion.widening
-    corner = float(distortion.undistorted_mm[-1] / distortion.height_mm[-1])
+    flat = GAUSS.model_copy(update={"die_height_mm": 16.0})
+    for real in (GAUSS, flat):
+        camera = rendered_camera(real)
+        assert camera.lens is None
+        assert camera.die_um == pytest.approx(
+            np.array(real.die_um) * camera_distortion(real).widening
+        )
+    corner = distortion.undistorted_mm[-1] / distortion.height_mm[-1]
     assert 1 < corner <= distortion.widening < 1.02 * corner
     assert rendered_camera(without_lens(GAUSS)) == without_lens(GAUSS)
 
