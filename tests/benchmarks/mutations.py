@@ -711,6 +711,39 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/saturation.py", "1 + _RISE_OVER", "1 - _RISE_OVER"): (
         "the search of the highest peak gives the same well in more steps"
     ),
+    (
+        "pixsim/sensor/saturation.py",
+        "_PEAK_WITHIN * brightest_e",
+        "(2 * (_PEAK_WITHIN * brightest_e))",
+    ): ("where a search for a peak ends, which is closer by then"),
+    **{
+        ("pixsim/sensor/saturation.py", before, f"(2 * ({before}))"): "more nodes of a quadrature"
+        for before in (
+            "gain_spread * mean_e",
+            "gain_spread * mean_e / temporal_e",
+            "offset_spread_e / temporal_e",
+        )
+    },
+    ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
+        "one more step towards a root that is reached long before"
+    ),
+    ("pixsim/sensor/collection.py", "1", "(1) + 1"): (
+        "one more wavelength, of which all are checked then, or are alike"
+    ),
+    ("pixsim/sensor/camera_data.py", "silicon * _TYPICAL_NM", "(2 * (silicon * _TYPICAL_NM))"): (
+        "responses are relative to the largest"
+    ),
+    **{
+        ("pixsim/sensor/photodiode.py", before, after): "Newton's method ends in the same root"
+        for before, after in (
+            ("NEWTON_STEPS", "(NEWTON_STEPS) + 1"),
+            ("1e-14 * next_step", "(2 * (1e-14 * next_step))"),
+            ("next_step - step", "(2 * (next_step - step))"),
+            ("next_step - step", "next_step + step"),
+            ("np.logaddexp(0.0, -start) - fall", "np.logaddexp(0.0, -start) + fall"),
+            ("np.logaddexp(0.0, -start) - fall", "(2 * (np.logaddexp(0.0, -start) - fall))"),
+        )
+    },
     ("pixsim/sensor/saturation.py", "_MAX_WELL * capacity_e", "(2 * (_MAX_WELL * capacity_e))"): (
         "where a search ends that finds its well long before"
     ),
