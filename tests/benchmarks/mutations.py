@@ -724,6 +724,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "offset_spread_e / temporal_e",
         )
     },
+    ("pixsim/sensor/photodiode.py", "1 + NODES", "1 - NODES"): "nodes lie on both sides alike",
+    (
+        "pixsim/sensor/reading.py",
+        "reading.limit_e / reading.response",
+        "(2 * (reading.limit_e / reading.response))",
+    ): "the order of numbers is that of twice these",
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),
@@ -740,6 +746,19 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             ("1e-14 * next_step", "(2 * (1e-14 * next_step))"),
             ("next_step - step", "(2 * (next_step - step))"),
             ("next_step - step", "next_step + step"),
+            ("panel + 1", "(2 * (panel + 1))"),
+            (
+                "diode.thermal_v * (np.logaddexp(0.0, -start) - fall)",
+                "diode.thermal_v / (np.logaddexp(0.0, -start) - fall)",
+            ),
+            (
+                "diode.thermal_v * (np.logaddexp(0.0, -start) - fall)",
+                "(2 * (diode.thermal_v * (np.logaddexp(0.0, -start) - fall)))",
+            ),
+            (
+                "equilibrium_v + diode.thermal_v * (np.logaddexp(0.0, -start) - fall)",
+                "(2 * (equilibrium_v + diode.thermal_v * (np.logaddexp(0.0, -start) - fall)))",
+            ),
             ("np.logaddexp(0.0, -start) - fall", "np.logaddexp(0.0, -start) + fall"),
             ("np.logaddexp(0.0, -start) - fall", "(2 * (np.logaddexp(0.0, -start) - fall))"),
         )

@@ -133,7 +133,6 @@ def bias_by_passing_e(*level_e: float) -> np.ndarray:
 
 
 LAST_DIGIT = "last digit of the number"
-KTC_E = math.sqrt(1.380649e-23 * 300.15 / 1.602176634e-19 / 10e-6)  # of 10 µV/e-
 NUMBERS = [
     *(
         (
@@ -353,7 +352,15 @@ NUMBERS = [
             ("split", 4000, 1, 50, 0.83, 22_000),
             ("split", 300_000, 0.01, 8, 2.96, 7900),
             ("staggered", 200_000, 1 / 16, 50 / 16, 0.83, 22_000),
-            ("overflow", 60_000, 1, 140, math.hypot(5, KTC_E), 122_000),
+            # kTC of 10 µV/e-
+            (
+                "overflow",
+                60_000,
+                1,
+                140,
+                math.sqrt(25 + 0.01380649 * 300.15 / 1.602176634e-3),
+                122_000,
+            ),
         )
     ),
     # Valid up to the limits, of the second photodiode to 0.4 of it by the ratio of the gains.

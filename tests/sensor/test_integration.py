@@ -336,9 +336,9 @@ def test_signal_is_the_light_at_the_registered_places(colour: dict | None) -> No
     """The pixels' own intervals of the running integral, in the ratio of their light, which is the
     same for all pixels of a channel; 0.01 pixel off gives 1e-3.
     """
-    borders = np.arange(121.0)
+    borders = np.linspace(0.0, 120.0, 161)
     plane = np.outer(2 * np.diff(waves(borders / 2)), np.diff(waves(borders)))
-    image = SpectralImage([550.0], 10.0, 1.0, data=plane[..., None], header={"diffraction": False})
+    image = SpectralImage([550.0], 10.0, 0.75, data=plane[..., None], header={"diffraction": False})
     options = {"pitch_um": 6.5, "infrared_cut_nm": 700.0, "colour": colour}
     physics = derive(Pixel(**options, registration=(0.3, 0.8)))
     signal = mean_signal_rate(image, Camera(die_mm=0.12), physics)

@@ -106,7 +106,8 @@ def test_light_is_conserved(motion: ImageMotion) -> None:
 
 def test_point_in_the_dark_becomes_its_path() -> None:
     """A cell at 40 to 41 µm, moved by ±3 µm, lights pixels 18 to 21 of 2 µm, and the light of none
-    is below zero; the ring that is cut off is 5 %.
+    is below zero; the ring that is cut off is 5 %. A pixel farther, and in another unit, it is the
+    same.
     """
     samples = np.full((60, 80), 1e-6)
     samples[30, 40] = 1.0
@@ -114,6 +115,11 @@ def test_point_in_the_dark_becomes_its_path() -> None:
     assert pixels.min() >= 0
     assert pixels.sum() == pytest.approx(samples.sum(), rel=0.05)
     np.testing.assert_allclose(pixels[15, 18:22], [0.25 / 6, 2 / 6, 2 / 6, 1.5 / 6], atol=0.08)
+    np.testing.assert_allclose(
+        moved(samples, ImageMotion((0.0, 18.0), shift_um=(6.0, -6.0)), 6.0, 3.0)[1:, :-1],
+        9 * pixels[:-1, 1:],
+        atol=1e-6,
+    )
 
 
 # --- Which way, and rows that see other times
