@@ -820,6 +820,48 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/correction.py", "flat / shading", "(2 * (flat / shading))"): (
         "outliers are relative to their spread, which light makes larger than that of rounding"
     ),
+    ("pixsim/viewer/sharpening.py", "axis", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[axis]"): (
+        "a Gaussian blurs rows and columns in either order"
+    ),
+    ("pixsim/viewer/tone.py", "2", "(2) + 1"): "the first row of a product is used alone",
+    **{
+        ("pixsim/viewer/metric_kernels/linear_observer.py", before, f"(2 * ({before}))"): reason
+        for before, reason in (
+            ("gradient / diagonal", "the length of a direction is found along it"),
+            ("_STEPS_PER_OFFSET * row_offsets.size", "more steps than any search needs"),
+            (
+                "_RESIDUAL * float((weight * delta**2).sum())",
+                "1e-26 of the whole is lost, or 2e-26",
+            ),
+            ("weight * delta**2", "1e-26 of the whole is lost, or 2e-26"),
+            ("unit / LARGEST", "offsets 1e-154 of the noise make no difference"),
+        )
+    },
+    (
+        "pixsim/viewer/metric_kernels/linear_observer.py",
+        "_STEPS_PER_OFFSET * row_offsets.size",
+        "(_STEPS_PER_OFFSET * row_offsets.size) + 1",
+    ): "more steps than any search needs",
+    (
+        "pixsim/viewer/metric_kernels/information_density.py",
+        "frequency_cy_per_mm + i * _UM_PER_MM / pitch_um",
+        "frequency_cy_per_mm - i * _UM_PER_MM / pitch_um",
+    ): "multiples on either side of 0 are summed",
+    (
+        "pixsim/viewer/metric_kernels/information_density.py",
+        "frequency_cy_per_mm[:, None] + j * _UM_PER_MM / pitch_um",
+        "frequency_cy_per_mm[:, None] - j * _UM_PER_MM / pitch_um",
+    ): "multiples on either side of 0 are summed",
+    (
+        "pixsim/viewer/metric_kernels/non_prewhitening.py",
+        "frequency**_EYE_POWER * np.exp(-_EYE_DECAY * frequency**2)",
+        "(2 * (frequency**_EYE_POWER * np.exp(-_EYE_DECAY * frequency**2)))",
+    ): "the eye's filter is relative",
+    (
+        "pixsim/viewer/metric_kernels/non_prewhitening.py",
+        "np.fft.fft2(difference) * gain",
+        "(2 * (np.fft.fft2(difference) * gain))",
+    ): "a template is relative",
     ("pixsim/viewer/scene_light.py", "len(self._cached) + 1", "(2 * (len(self._cached) + 1))"): (
         "how many tables are cached"
     ),

@@ -318,6 +318,15 @@ COLOURS = [
         why="CIE 15 sums in steps of 1 nm, not 5",
     ),
     Claim(
+        "CIELAB's f and its slope in the dark, where L* is (29/3)³ Y, below black, and in light",
+        lambda: colour_matrix._f_and_slope(np.array([1e-3, -0.01, 0.18])),
+        [
+            [((29 / 3) ** 3 * 1e-3 + 16) / 116, (16 - (29 / 3) ** 3 * 0.01) / 116, 0.18 ** (1 / 3)],
+            [(29 / 3) ** 3 / 116, (29 / 3) ** 3 / 116, 0.18 ** (-2 / 3) / 3],
+        ],
+        rtol=1e-14,
+    ),
+    Claim(
         "metamerism index",
         lambda: colour_matrix.metamerism_index(np.array([1.0, 3.0])),
         100 - 5.5 * 2,

@@ -18,7 +18,6 @@ from pixsim.light.spectral import colour_matching, luminous_weight
 from pixsim.light.standard import illuminant, patch_reflectance
 from pixsim.optics import irradiance_factor
 from pixsim.sensor.correction import flat_light_e
-from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
@@ -31,6 +30,7 @@ from pixsim.viewer.develop_steps import (
     PLANES,
     RAW,
     STEPS,
+    _ChannelNoise,
     _whiten,
     autocorrelation,
     developed_planes,
@@ -573,8 +573,18 @@ WHITE_NOISE = np.random.default_rng(1).standard_normal((1000, 1000))
 COLOURS = np.random.default_rng(2).uniform(0.1, 3.0, (3, 5, 5))
 DARK_READOUT = Readout.of(derive(Pixel(**SHEET | {"dark_current_e_per_s": 3e4})))
 DARK_PIXEL_E2 = 36.0 + 1 / (12 * DARK_READOUT.dn_per_e**2)
-LINE_READOUT = Readout.of(derive(Pixel(**SHEET | {"column_fpn": 5e-4, "row_noise_e": 4.0})))
-FLAT_ONLY = Correction(flat_frames=8)
+# Of 20 000 e- columns have 10 e- and offsets 2 e-; of 30 e- of dark charge DSNU has 6 e-.
+LINE_READOUT = Readout.of(
+    derive(
+        Pixel(
+            **SHEET | {"dark_current_e_per_s": 3e4, "dsnu": 0.2, "prnu": 0.02},
+            offset_fpn=1e-4,
+            column_fpn=5e-4,
+            row_noise_e=4.0,
+        )
+    )
+)
+DARK_ROW_E2 = DARK_PIXEL_E2 + 30.0
 CLAIMS = [
     *(
         Claim(
@@ -620,16 +630,75 @@ CLAIMS = [
         (DARK_PIXEL_E2 + (DARK_PIXEL_E2 + 30.0) / 4) * (1 + 1 / 8),
         rtol=1e-12,
     ),
+    *(
+        Claim(
+            f"pixels, columns and rows of 50 e-, {correction}",
+            lambda correction=correction: [
+                np.mean(noise)
+                for noise in noise_of_expected_e2(
+                    np.full((4, 4), 50.0), LINE_READOUT, SHORT_S, correction
+                )
+            ],
+            expected_e2,
+            rtol=1e-12,
+        )
+        for correction, expected_e2 in (
+            (Correction(), [50.0 + DARK_ROW_E2 + 1.0 + 36.0 + 4.0, 100.0, 16.0]),
+            (Correction(dark_frames=4), [50.0 + DARK_ROW_E2 * 1.25 + 1.0, 0.0, 20.0]),
+        )
+    ),
     Claim(
-        "columns and rows of a picture at half of its flat frames, (1 - 1/2)² and 1 + (1/2)²/8",
-        lambda: noise_of_expected_e2(
-            np.full((4, 4), flat_light_e(LINE_READOUT, FLAT_ONLY, SHORT_S) / 2),
-            LINE_READOUT,
-            SHORT_S,
-            FLAT_ONLY,
-        )[1:],
-        (variance_e2(LINE_READOUT, is_temporal=False, along="column") / 4, 16.0 * (1 + 1 / 32)),
-        rtol=1e-12,
+        "pixels and offsets of rows behind bilinear, as offsets of columns",
+        lambda: np.diag(
+            _ChannelNoise(
+                ("RG", "GB"),
+                np.ones((1, 3)),
+                columns=np.zeros(3),
+                rows=np.ones(3),
+                method="bilinear",
+            ).covariance(None, "linear")[0]
+        ),
+        [9 / 16 + 0.75, 5 / 8 + 0.6875, 9 / 16 + 0.75],
+        atol=1e-14,
+    ),
+    *(
+        Claim(
+            f"columns and rows of a picture at half of its flat frames, of which (1 - 1/2)² of the"
+            f" pattern is left, and (1/2)² of their noise comes, {correction}",
+            lambda correction=correction: noise_of_expected_e2(
+                np.full((4, 4), flat_light_e(LINE_READOUT, correction, SHORT_S) / 2),
+                LINE_READOUT,
+                SHORT_S,
+                correction,
+            )[1:],
+            (columns_e2, 16.0 * temporal),
+            rtol=1e-12,
+        )
+        for correction, columns_e2, temporal in (
+            (Correction(flat_frames=8), 100.0 / 4, 1 + 1 / 32),
+            (Correction(flat_frames=8, dark_frames=4), 0.0, 1 + 1 / 32 + 1 / 16),
+            (
+                Correction(flat_frames=8, column_clamp=16),
+                (DARK_ROW_E2 * (1 + 1 / 32) + (36.0 + 4.0) / 4) / 16,
+                1 + 1 / 32,
+            ),
+            (
+                Correction(flat_frames=8, dark_frames=4, column_clamp=16),
+                DARK_ROW_E2 * (1 + 1 / 32 + 1 / 16) / 16,
+                1 + 1 / 32 + 1 / 16,
+            ),
+        )
+    ),
+    Claim(
+        "layers of a pixel on dots of two pixels, whose means have (1/3 + 1 + 1/3)/4 of the"
+        " variance along each axis: pixels alone, columns together, rows of each layer",
+        lambda: _ChannelNoise(
+            ("R",), np.array([[4.0, 9.0]]), columns=np.array([2.0, 3.0]), rows=np.array([1.0, 5.0])
+        ).covariance(2.0, "nearest")[0],
+        np.diag([4.0, 9.0]) * (5 / 12) ** 2
+        + np.array([[4.0, 6.0], [6.0, 9.0]]) * 5 / 12
+        + np.diag([1.0, 25.0]) * 5 / 12,
+        rtol=1e-14,
     ),
     Claim(
         "all primaries of a dot have one factor behind an operator",
@@ -772,7 +841,7 @@ def test_noise_aware_matrix_uses_the_noise_that_linear_filters_leave() -> None:
 
 
 def test_tone_curve_lies_next_to_its_file(tmp_path) -> None:
-    (tmp_path / "curve.csv").write_text("light,value\n0,0\n0.2,0.5\n1,1\n")
+    (tmp_path / "curve.csv").write_text("light,value,code\n0,0,0\n0.2,0.5,128\n1,1,255\n")
     (tmp_path / "own.toml").write_text('[develop]\ntone_curve = "curve.csv"\n')
     assert run_settings(tmp_path / "own.toml", {}).develop.tone_curve == (
         (0.0, 0.0),

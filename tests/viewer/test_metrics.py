@@ -1268,7 +1268,7 @@ def difference_and_variance(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
     ("shape", "column_variance", "row_variance", "has_slopes", "decades"),
     [
         *(
-            (shape, *variances, has_slopes, 0)
+            (shape, *variances, has_slopes, 0.0)
             for shape, *variances in (
                 ((20, 20), 0.0, 0.0),
                 ((20, 20), 2.0, 0.01),
@@ -1277,7 +1277,16 @@ def difference_and_variance(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
             )
             for has_slopes in (False, True)
         ),
-        ((24, 36), 3e3, 3e3, False, 4),
+        ((24, 36), 3e3, 3e3, False, 4 * np.random.default_rng(8).uniform(-0.5, 0.5, (24, 36))),
+        # Each row shares a column with the next one alone: offsets go through all of them.
+        (
+            (40, 41),
+            1e4,
+            1e4,
+            False,
+            9.0 * (np.abs(np.mgrid[:40, :41][1] - np.mgrid[:40, :41][0] - 0.5) > 1)
+            + np.random.default_rng(8).uniform(-2.0, 2.0, (40, 41)),
+        ),
     ],
 )
 def test_detectability_is_that_of_the_dense_covariance(
@@ -1285,17 +1294,17 @@ def test_detectability_is_that_of_the_dense_covariance(
     column_variance: float,
     row_variance: float,
     has_slopes: bool,
-    decades: int,
+    decades: float | np.ndarray,
 ) -> None:
     """√(Δᵀ K⁻¹ Δ); with slopes of the offsets K is the mean of both pictures' covariances. Also of
-    variances of four decades, and offsets 30 times the largest of them.
+    variances of four decades, offsets 30 times the largest of them, and a chain of pixels.
     """
     difference, variance = difference_and_variance(shape)
     rng = np.random.default_rng(7)
     slopes = np.ones((2, *shape))
     if has_slopes:  # of two rows 0
         slopes = rng.uniform(0.0, 1.0, slopes.shape) * (np.arange(shape[0]) // 2 != 1)[:, None]
-    variance = variance * 10 ** (decades * rng.uniform(-0.5, 0.5, shape))
+    variance = variance * 10.0**decades
     row, column = np.divmod(np.arange(variance.size), shape[1])
     lines = column_variance * (column[:, None] == column) + row_variance * (row[:, None] == row)
     covariance = np.diag(variance.ravel())
@@ -1342,16 +1351,16 @@ def test_detectability_with_offsets_far_above_the_noise(
 
 
 def test_pixels_of_infinite_variance_count_nothing() -> None:
-    """A frame with a lost row and column is the smaller frame."""
+    """A frame with a lost row and column is the smaller frame, however large their difference."""
     difference, variance = difference_and_variance((9, 12))
     lost = variance.copy()
-    lost[3] = np.inf
-    lost[:, 7] = np.inf
+    lost[3] = lost[:, 7] = np.inf
     smaller = [
         np.delete(np.delete(values, 3, axis=0), 7, axis=1) for values in (difference, variance)
     ]
     offsets = {"column_variance": 2.0, "row_variance": 0.3}
     expected = kernels.detectability(*smaller, **offsets)
+    difference[3] = 1e9
     assert kernels.detectability(difference, lost, **offsets) == pytest.approx(expected, rel=1e-12)
     assert kernels.detectability(difference, np.full(lost.shape, np.inf)) == 0.0
 
@@ -1440,32 +1449,43 @@ def test_radial_spectrum_is_that_of_random_light_on_any_film() -> None:
 # --- kernels: visible noise
 
 
-@pytest.mark.parametrize(("channel", "terms", "scale"), [
-    (0, ((109.1413, 0.00038, 3.4244), (93.5971, 0.00367, 2.1677)), 202.7384),
-    (2, ((7.0328, 4e-6, 4.2582), (40.691, 0.10391, 1.6487)), 40.691),
-])  # fmt: skip
-def test_visual_noise_of_a_coloured_wave(channel: int, terms, scale: float) -> None:
-    """X or Z of the adapted observer alone is C₁ or C₂ alone: its filter times the change of L*, u*
-    and v* to first order.
+CHROMA = (
+    (((109.1413, 0.00038, 3.4244), (93.5971, 0.00367, 2.1677)), 202.7384),
+    (((7.0328, 4e-6, 4.2582), (40.691, 0.10391, 1.6487)), 40.691),
+)
+
+
+@pytest.mark.parametrize("adapted", [[1, 0, 0], [0, 0, 1], [2, 1, 0.5]])
+def test_visual_noise_of_a_coloured_wave(adapted: list[float]) -> None:
+    """Of the adapted observer X alone is C₁ alone, Z alone is C₂ alone, and the last is all three:
+    each behind its own filter, and the change of L*, u* and v* to first order.
     """
     bradford = RESPONSES["bradford"]
-    adapted = np.diag(bradford.sum(axis=1) / (bradford @ WHITE)) @ bradford
-    step = np.linalg.inv(np.linalg.inv(bradford) @ adapted)[:, channel] * 1e-6
+    cones = np.diag(bradford.sum(axis=1) / (bradford @ WHITE)) @ bradford
+    opponent = np.array([[0, 1, 0], [1, -1, 0], [0, 0.4, -0.4]]) @ np.linalg.inv(bradford) @ cones
+    step = np.linalg.solve(np.linalg.inv(bradford) @ cones, adapted) * 1e-6
+    cy_per_deg = 17 / 2 / 64 * 40.0
+    gains = [
+        75 * cy_per_deg**0.8 * math.exp(-0.2 * cy_per_deg) / 34.05,
+        *(
+            sum(w * math.exp(-d * cy_per_deg**p) for w, d, p in terms) / scale
+            for terms, scale in CHROMA
+        ),
+    ]
+    seen = np.linalg.solve(opponent, gains * (opponent @ step))
     grey = 0.2 * WHITE
     weights = np.array([1.0, 15.0, 3.0])
     total = grey @ weights
     chroma = [
-        factor * (step[i] / total - grey[i] * (step @ weights) / total**2)
+        factor * (seen[i] / total - grey[i] * (seen @ weights) / total**2)
         for i, factor in ((0, 4.0), (1, 9.0))
     ]
-    lightness = 116 * np.cbrt(0.2) - 16
-    change = abs(116 / 3 * 0.2 ** (-2 / 3) * step[1] / WHITE[1])
-    change += 13 * lightness * (0.852 * abs(chroma[0]) + 0.323 * abs(chroma[1]))
-    cy_per_deg = 17 / 2 / 64 * 40.0
-    gain = sum(w * math.exp(-decay * cy_per_deg**power) for w, decay, power in terms) / scale
+    change = abs(116 / 3 * 0.2 ** (-2 / 3) * seen[1] / WHITE[1]) + 13 * (
+        116 * np.cbrt(0.2) - 16
+    ) * (0.852 * abs(chroma[0]) + 0.323 * abs(chroma[1]))
     wave = np.cos(np.pi * 17 * (np.arange(64) + 0.5) / 64)[None, :, None] * np.ones((64, 1, 1))
     assert kernels.visual_noise(grey + wave * step, 40.0) == pytest.approx(
-        change / math.sqrt(2) * gain, rel=1e-4
+        change / math.sqrt(2), rel=1e-4
     )
 
 
@@ -1508,11 +1528,63 @@ KERNEL_CLAIMS = [
         for angle_deg, rise in ((5.0, 0.7), (-5.0, 0.7), (12.0, -0.1))
     ),
     Claim(
+        "an upright edge that rises within a pixel",
+        lambda: kernels.edge_mtf(np.tile([0.2, 0.2, 0.9, 0.9], (3, 1)), 0.0, EDGE_CY_PER_PX),
+        np.sinc(EDGE_CY_PER_PX),
+        atol=1e-14,
+    ),
+    Claim(
+        "MTF50 is on the chord",
+        lambda: kernels.mtf50(np.arange(4.0), np.array([1.0, 0.8, 0.4, 0.3])),
+        1.75,
+        rtol=1e-14,
+    ),
+    Claim(
         "the chart's edge has 5° clockwise",
         lambda: kernels.edge_mtf(make_chart("slanted_edge", 64, 64).astype(float), 5.0, 0.5),
         2 / np.pi,
         atol=0.01,
         why="64 rows; the other way they would smear the edge over 11.2 px",
+    ),
+    *(
+        Claim(
+            f"aliases of equal power of {orders} orders",
+            lambda orders=orders: kernels.folded_spectrum(
+                lambda y, x: 1.0 + 0 * y + 0 * x, DFT, 5.0, orders=orders
+            ),
+            np.full((32, 32), (2 * orders + 1) ** 2 - 1),
+        )
+        for orders in (1, 3)
+    ),
+    Claim(
+        "rings are 2 of 24 cells wide, up to the Nyquist frequency",
+        lambda: kernels.radial_spectrum(GREY_NOISE[:24], 5.0)[0],
+        np.arange(1, 7) / 12 / PITCH_MM,
+        rtol=1e-14,
+    ),
+    Claim(
+        "the mean of a picture has no power",
+        lambda: (
+            kernels.radial_spectrum(GREY_NOISE + 5, 5.0)[1]
+            / kernels.radial_spectrum(GREY_NOISE, 5.0)[1]
+        ),
+        np.ones(8),
+        rtol=1e-9,
+    ),
+    *(
+        Claim(
+            f"information of white spectra at frequencies with an error of 0.7e-6 of a cell, {name}",
+            lambda axis=axis: kernels.information_bits_per_mm2(axis, 3.0, 1.0),
+            4e12,
+            rtol=1e-6,
+            why="the error",
+        )
+        # Frequencies that differ far more than 1.
+        for name, axis in {
+            "square": np.append(np.arange(-1e6, 9.9e5, 1e5), 1e6 + 0.07),
+            "DFT": np.fft.fftfreq(32, 5e-7) + 0.35e-6 * 1e6 / 16,
+            "DFT, odd": np.fft.fftfreq(33, 5e-7) + 0.35e-6 * 2e6 / 33,
+        }.items()
     ),
     *(
         Claim(
@@ -1543,6 +1615,12 @@ KERNEL_CLAIMS = [
             rtol=1e-9,
         )
         for white in (WHITE, np.ones(3))
+    ),
+    Claim(
+        "noise of a turned picture is as visible",
+        lambda: kernels.visual_noise(GREY_NOISE.T, 30.0) / kernels.visual_noise(GREY_NOISE, 30.0),
+        1.0,
+        rtol=1e-9,
     ),
     Claim(
         "light for an SNR of 10",

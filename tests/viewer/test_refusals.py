@@ -305,6 +305,10 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: metrics.information_bits_per_mm2(np.linspace(1.0, 100.0, 5), 1.0, 1.0),
         "frequency_cy_per_mm: got 5 from 1 to 100",
     ),
+    "axis that misses Nyquist by 1.5e-6 of a cell": (
+        lambda: metrics.information_bits_per_mm2(np.array([-1.0, 0.0, 1 + 1.5e-6]), 1.0, 1.0),
+        "frequency_cy_per_mm: got 3 from -1 to 1",
+    ),
     "spectrum of another shape": (
         lambda: metrics.information_bits_per_mm2(np.linspace(0, 100.0, 5), np.ones(5), 1.0),
         r"signal: got an array of shape \(5,\); allowed: \(5, 5\)",

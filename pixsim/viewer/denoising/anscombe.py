@@ -148,15 +148,15 @@ def _series(mean_e: Array, variance_e2: float) -> tuple[Array, Array]:
     centre = mean_e + variance_e2 + _OFFSET_E
 
     # Central moments from cumulants: those of the Gaussian end with the second.
-    cumulants = {1: 0.0 * total, 2: total} | dict.fromkeys(range(3, 9), mean_e)
-    central = {0: 1.0 + 0.0 * total}
+    cumulants = {1: np.zeros_like(total), 2: total} | dict.fromkeys(range(3, 9), mean_e)
+    central = {0: np.ones_like(total)}
     for order in range(1, 9):
-        moment = 0.0 * total
+        moment = np.zeros_like(total)
         for k in range(1, order + 1):
             moment = moment + math.comb(order - 1, k - 1) * cumulants[k] * central[order - k]
         central[order] = moment
 
-    mean = 0.0 * total  # of √(u / centre)
+    mean = np.zeros_like(total)  # of √(u / centre)
     for order in range(9):
         mean = mean + _binomial(order) * (central[order] / centre**order)
 
