@@ -76,8 +76,12 @@ def taken(
     seed: int = 2,
 ) -> Frame:
     """A frame of uniform light, which has this mean in the time of a burst."""
-    sensor = sample_sensor(readout, shape, seeded(1))
-    return capture_from_rates(np.full(shape, mean_e / BURST_S), sensor, exposure, seeded(seed))
+    return capture_from_rates(
+        np.full(shape, mean_e / BURST_S),
+        sample_sensor(readout, shape, seeded(1)),
+        exposure,
+        seeded(seed),
+    )
 
 
 # Far from all ends; in the dark without a black level; near the well; near the top code; with noise
@@ -412,8 +416,9 @@ def test_numbers_and_facts_are_read_back(suffix: str, written, facts, tmp_path: 
 
 
 def test_the_smallest_cell_of_black_levels_is_stored(tmp_path: Path) -> None:
-    levels = np.tile(CELL, (2, 2))[:3, :3]
-    write_frame(tmp_path / "raw.npz", RawFrame(CODES[:, :3], black_level_dn=levels))
+    write_frame(
+        tmp_path / "raw.npz", RawFrame(CODES[:, :3], black_level_dn=np.tile(CELL, (2, 2))[:3, :3])
+    )
     with np.load(tmp_path / "raw.npz") as file:
         np.testing.assert_array_equal(file["black_level_dn"], CELL)
 
@@ -601,8 +606,9 @@ def test_black_levels_of_each_place_of_the_cell_are_read(photometric: int, tmp_p
         photometric,
         **{"t50713": (3, [2, 2]), "t50714": (3, [256, 257, 258, 256])},
     )
-    levels = read_frame(tmp_path / "raw.tif").black_level_dn
-    np.testing.assert_array_equal(levels, np.tile(CELL, (4, 3)))
+    np.testing.assert_array_equal(
+        read_frame(tmp_path / "raw.tif").black_level_dn, np.tile(CELL, (4, 3))
+    )
 
 
 @pytest.mark.parametrize("size", [{}, {"t50713": (3, [2, 3])}])

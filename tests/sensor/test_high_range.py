@@ -436,8 +436,9 @@ AUTOMOTIVE = packaged_knees("automotive_24")
 
 def rounding_snr_db(level_dn: float) -> float:
     """Of rounding alone, by the 24-bit table."""
-    step_dn = float(steps_dn(np.array(level_dn), AUTOMOTIVE))
-    return 20 * math.log10(level_dn / (step_dn / math.sqrt(12)))
+    return 20 * math.log10(
+        level_dn / (float(steps_dn(np.array(level_dn), AUTOMOTIVE)) / math.sqrt(12))
+    )
 
 
 COMPANDING = [

@@ -59,8 +59,8 @@ def grating_contrast(f_number: float) -> float:
     sin_alpha = math.sin(math.atan(1 / (2 * camera.working_f_number)))
     pitch_um = 1e3 * 16 / (0.3 * 2 * sin_alpha / 550e-6) / 512
     cosine = np.cos(2 * np.pi * 16 * (np.arange(512) + 0.5) / 512)
-    picture = np.tile(1 + 0.5 * cosine, (4, 1))
-    light = SpectralImage([550.0], 10.0, pitch_um, factors=([[1e-3]], [picture]))
+    factors = [[1e-3]], [np.tile(1 + 0.5 * cosine, (4, 1))]
+    light = SpectralImage([550.0], 10.0, pitch_um, factors=factors)
     rate = integration.diffracted_rate(light, camera, derive(Pixel()))
     return float(2 * (rate * cosine).mean() / rate.mean() / 0.5)
 
@@ -245,8 +245,9 @@ def test_charts_of_hard_edges_have_no_negative_electrons_and_all_of_their_light(
         np.arange(41.0), 20.5 - half
     )
     inside = np.clip(covered, 0, 1)
-    expected = inside @ samples @ inside
-    assert pixels.sum() == pytest.approx(expected, abs=(1 - inside[0]) * 82 * 1000.0 + 1e-6)
+    assert pixels.sum() == pytest.approx(
+        inside @ samples @ inside, abs=(1 - inside[0]) * 82 * 1000.0 + 1e-6
+    )
 
 
 # Where photodiodes begin, around an edge at 50; under smaller ones 10 : 1 rings below zero.

@@ -169,8 +169,9 @@ def test_light_that_the_glasses_are_not_known_for_is_noted() -> None:
 
 @cache
 def phone() -> Camera:
-    camera = Camera(die_mm=4.8, object_distance_m=2.0)
-    return camera_with_lens(camera, CameraOptions(), LensOptions(file="phone"))
+    return camera_with_lens(
+        Camera(die_mm=4.8, object_distance_m=2.0), CameraOptions(), LensOptions(file="phone")
+    )
 
 
 @cache

@@ -27,8 +27,13 @@ def moved(
     samples: np.ndarray, motion: ImageMotion, side_um: float = 1.6, cell_um: float = 1.0
 ) -> np.ndarray:
     """Integrals of a moving picture over pixels of 2 cells."""
-    picture = MovingPicture(LightSpectrum(samples), motion)
-    return integrate_pixels(samples, cell_um, 2 * cell_um, side_um, moving_picture=picture)
+    return integrate_pixels(
+        samples,
+        cell_um,
+        2 * cell_um,
+        side_um,
+        moving_picture=MovingPicture(LightSpectrum(samples), motion),
+    )
 
 
 def wave(shape: tuple[int, int], half_periods: tuple[float, float]) -> np.ndarray:
@@ -139,8 +144,9 @@ def soft_edge(edge_um: float, axis: int) -> SpectralImage:
 
 
 def mean_e(light: SpectralImage, exposure: Exposure, motion: Motion) -> np.ndarray:
-    sensor = make_sensor(PIXEL, CAMERA)
-    return capture(light, CAMERA, sensor, exposure, motion=motion, rng=seeded(0)).mean_e
+    return capture(
+        light, CAMERA, make_sensor(PIXEL, CAMERA), exposure, motion=motion, rng=seeded(0)
+    ).mean_e
 
 
 def edge_places_um(electrons: np.ndarray, axis: int) -> np.ndarray:

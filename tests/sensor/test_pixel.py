@@ -54,8 +54,9 @@ NOISY_PROCESS = load_technology("4t-bsi").model_copy(
 
 def bsi(**fields) -> PixelPhysics:
     """A pixel of 4 µm without a stack."""
-    pixel = {"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"enabled": False}}
-    return derive(Pixel.model_validate(pixel | fields))
+    return derive(
+        Pixel(**{"technology": "4t-bsi", "pitch_um": 4.0, "stack": {"enabled": False}} | fields)
+    )
 
 
 def physics(**over) -> PixelPhysics:

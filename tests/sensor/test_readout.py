@@ -72,8 +72,12 @@ def check_frame(name: str, dn: np.ndarray, mean_dn: float, variance_dn2: float) 
 
 def frame_of(readout: Readout, signal_e: float) -> np.ndarray:
     """A frame under uniform light."""
-    sensor = sensors.sample_sensor(readout, SHAPE, seeded(11))
-    return sensors.read_out(np.full(SHAPE, signal_e), TIME_S, sensor, seeded(21))
+    return sensors.read_out(
+        np.full(SHAPE, signal_e),
+        TIME_S,
+        sensors.sample_sensor(readout, SHAPE, seeded(11)),
+        seeded(21),
+    )
 
 
 # Options and signal in e-. Each noise is the largest part of its variance, or 12 % of it
@@ -400,8 +404,9 @@ QUIET = {
 
 
 def process_reading(technology: str = "0.35um", **options) -> Readout:
-    pixel = Pixel(technology=technology, pitch_um=PITCHES_UM[technology], **options)
-    return Readout.of(derive(pixel))
+    return Readout.of(
+        derive(Pixel(technology=technology, pitch_um=PITCHES_UM[technology], **options))
+    )
 
 
 # --- Collected charge
@@ -454,8 +459,9 @@ def exact_level_e(readout: Readout, generated_e) -> np.ndarray:
 
 
 def frame_dn(readout: Readout, mean_e: float, shape: tuple[int, int] = (8, 8)) -> np.ndarray:
-    sensor = sensors.sample_sensor(readout, shape, seeded(1))
-    return sensors.read_out(np.full(shape, mean_e), 0.03, sensor, seeded(3))
+    return sensors.read_out(
+        np.full(shape, mean_e), 0.03, sensors.sample_sensor(readout, shape, seeded(1)), seeded(3)
+    )
 
 
 @pytest.mark.parametrize("limit", ["swing", "diode"])
