@@ -433,7 +433,7 @@ def _listed_names(
         f" lacks ({', '.join(names_in(unknown_catalogues))})"
     )
     warn(Note("lens_as_read", lens=where, words=text))
-    return full_names[:1]
+    return full_names
 
 
 def _full_names(name: str, glasses: Mapping[str, Glass]) -> list[str]:
@@ -525,7 +525,7 @@ _AGF_FORMULAS: dict[int, Callable[[Sequence[float]], tuple[int, _Coefficients]]]
     8: lambda c: (4, (c[0], c[1], 2.0, c[2], 1.0, 0.0, 0.0, 0.0, 1.0, -c[3], 2.0)),
     9: lambda c: (2, (c[0] - 1, *c[1:5])),  # Sellmeier 4
     10: lambda c: _powers(c, (2, -2, -4, -6, -8, -10, -12)),  # extended
-    11: lambda c: (2, (0.0, *c[:10])),  # Sellmeier 5
+    11: lambda c: (2, (0.0, *c)),  # Sellmeier 5
     12: lambda c: _powers(c, (2, -2, -4, -6, -8, 4, 6)),  # extended 2
     13: lambda c: _powers(c, (2, 4, -2, -4, -6, -8, -10, -12)),  # extended 3
 }

@@ -1343,16 +1343,16 @@ class Lens:
         """
         grid = np.linspace(-0.95, 0.95, 21)
         waves = self.wavefront(field_deg, wavelength_nm, np.zeros(grid.size), grid)
-        is_passed = waves.passed & np.isfinite(waves.opd_waves)
-        ray_cosines = np.where(is_passed, waves.cosines[..., 1], np.nan)
-        middle = (np.fmin.reduce(ray_cosines, axis=1) + np.fmax.reduce(ray_cosines, axis=1)) / 2
+        ray_cosines = np.where(np.isfinite(waves.opd_waves), waves.cosines[..., 1], np.nan)
+        passed = np.where(waves.passed, ray_cosines, np.nan)
+        middle = (np.fmin.reduce(passed, axis=1) + np.fmax.reduce(passed, axis=1)) / 2
 
-        # The middle, where it passes; else the direction that passes best.
+        # The middle, where it passes; else the direction that passes best, or nearly passes.
         candidates = np.concatenate([middle[:, None], chief_cosine[:, None], ray_cosines], axis=1)
         width = self._max_relative_height(
             field_deg, height_mm, wavelength_nm, np.zeros_like(candidates), candidates
         )
-        width[:, 2:] += 1e-3
+        width[:, 2:] += np.where(waves.passed, 1e-3, 1.0)
         best = np.argmin(width, axis=1)
         conditions = np.arange(best.size)
         chosen = np.where(width[:, 0] < 1, middle, candidates[conditions, best])

@@ -749,7 +749,7 @@ def _toml_glass(
         f"{suggestion} It is another glass, so nothing is substituted. " if suggestion else ""
     )
     return find_glass(
-        value, f"{where}: glass", hint=near_miss + _HOW_TO_GIVE_TOML, user_glasses=user_glasses
+        value, f"{where}: glass", hint=f"{near_miss}{_HOW_TO_GIVE_TOML}", user_glasses=user_glasses
     )
 
 

@@ -291,6 +291,31 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "len(lines) + 1",
         "len(lines) - 1",
     ): "titles above no numbers, which are refused",
+    (
+        "pixsim/optics/lens.py",
+        "slope_x * stop_x",
+        "slope_x / stop_x",
+    ): "rays are aimed from another first guess at the same points",
+    (
+        "pixsim/optics/lens.py",
+        "slope_y * stop_y",
+        "slope_y / stop_y",
+    ): "rays are aimed from another first guess at the same points",
+    (
+        "pixsim/optics/lens.py",
+        "tolerance / 10",
+        "(2 * (tolerance / 10))",
+    ): "an aim ends at a fifth of the tolerance in place of a tenth",
+    (
+        "pixsim/optics/lens.py",
+        "both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0]",
+        "(2 * (both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0]))",
+    ): "a ratio of two mean squares",
+    (
+        "pixsim/optics/lens.py",
+        "share * edge",
+        "(2 * (share * edge))",
+    ): "the same edge, between places farther apart",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -98,6 +98,7 @@ def test_quantum_efficiency_of_an_instrument(name: str, digit: float) -> None:
     [
         ("nm;R (%);G (%);B (%)", "quantum_efficiencies", [0.5, 0.4, 0.3]),
         ("nm;red [A/W];green [A/W];blue [A/W]", "sensitivities", [50, 40, 30]),
+        ("nm;red [µA/W];green [μA/W];blue [uA/W]", "sensitivities", [50e-6, 40e-6, 30e-6]),
         ("Wavelength;Red;Green;Blue\nnm;%;%;%", "transmittances", [0.5, 0.4, 0.3]),
     ],
 )

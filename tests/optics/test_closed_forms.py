@@ -92,6 +92,7 @@ GLASSES = [
         for code, n_d, v_d in (
             ("517642", 1.517, 64.2),
             ("003283", 2.003, 28.3),
+            ("0500.283", 2.05, 28.3),
             ("516800.641673", 1.5168, 64.1673),
             ("847.238", 1.847, 23.8),
         )
@@ -449,8 +450,8 @@ def depth_in_ball(height_mm: float) -> float:
     return float(intersect(start, Surface(1.0, 1.0), 1.0).z)
 
 
-def only_ghost(lens: list[Surface], height_mm: float, slope: float) -> Ghost:
-    indices = [1.0, INDEX, 1.0]
+def only_ghost(lens: list[Surface], height_mm: float, slope: float, n: float = 1.0) -> Ghost:
+    indices = [n, INDEX, n]
     (ghost,) = find_ghosts(lens, indices, reflectances(indices), height_mm, slope)
     return ghost
 
@@ -549,13 +550,31 @@ RAYS = [
         rtol=1e-6,
         why="1e-9 mm thick",
     ),
-    Claim(
-        "light crosses a plate three times",
-        lambda: only_ghost([Surface(0.0, 3.0, GLASS), Surface(0.0, 10.0)], 0.5, 0.05).blur_mm,
-        2 * (0.5 + 0.05 * (3 * 3.0 / INDEX + 10.0)),
-        rtol=1e-12,
+    *(
+        Claim(
+            f"light crosses a plate in a medium of {n:g} three times",
+            lambda n=n: (
+                only_ghost([Surface(0.0, 3.0, GLASS), Surface(0.0, 10.0)], 0.5, 0.05, n).blur_mm
+            ),
+            2 * (0.5 + 0.05 * (3 * 3.0 * n / INDEX + 10.0)),
+            rtol=1e-12,
+        )
+        for n in (1.0, 1.3)
     ),
     Claim("indices of an unfolded path", lambda: FOLDED[1], [1.0, INDEX, -INDEX, INDEX, 1.0]),
+    Claim(
+        "thicknesses and indices on the way between the outer ones of three surfaces",
+        lambda: [
+            number
+            for surfaces, indices in [
+                unfolded_path(
+                    [Surface(0.0, mm) for mm in (1.0, 2.0, 3.0)], [1.0, 1.5, 1.7, 1.0], 0, 2
+                )
+            ]
+            for number in (*(surface.thickness_mm for surface in surfaces), *indices)
+        ],
+        [1, 2, -2, -1, 1, 2, 3, 1.0, 1.5, 1.7, -1.7, -1.5, 1.5, 1.7, 1.0],
+    ),
     Claim(
         "thicknesses of an unfolded path",
         lambda: [surface.thickness_mm for surface in FOLDED[0]],
@@ -1123,5 +1142,5 @@ def test_limits_of_the_model_are_named() -> None:
     small = Stack(1.4, 0.8, 2.5, 1.5, shift_um="optimal")
     fresnel, shift = model_limits(small, disc_pupil(0.1, 28.0), [400.0, 700.0])
     assert "Fresnel number of 0.42 at 700 nm" in fresnel
-    assert "1 at a pitch of 2.16 µm" in fresnel
+    assert "1 at a pitch of 2.16 µm, or with a height of 1.05 µm" in fresnel
     assert "0.824 µm, more than half of the pitch" in shift

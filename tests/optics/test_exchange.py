@@ -254,6 +254,7 @@ NUMBERS: dict[str, tuple[Callable[[Path], Path], dict[str, object], str, object]
         f"fwhm {fwhm}": (lambda path, fwhm=fwhm: write_envi(path / "a.hdr", fwhm=[fwhm] * 3), FREE, "band_width_nm", [min(fwhm, 10.0)] * 3)
         for fwhm in (4.0, 9.95, 10.05, 25.0)
     },
+    "unequal widths that adjoin": (lambda path: write_envi(path / "a.hdr", fwhm=[11.0, 9.0, 11.0]), FREE, "band_width_nm", [11, 9, 11]),
     "bands named by their edges": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, "wavelength_nm", 410.0 + 20 * np.arange(16)),
     "widths of these": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, "band_width_nm", np.full(16, 20.0)),
     "sorted names": (exr(NAMED, **OF_UNIT), FREE, "wavelength_nm", [380.5, 450.0, 600.0000000001, 700.0, 1000.0]),

@@ -15,7 +15,7 @@ from helpers.claims import Claim, check
 from pixsim import PixsimError, load_lens, optics
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
-from pixsim.optics.lens import Lens, lens_from_prescription
+from pixsim.optics.lens import Lens, _root, lens_from_prescription
 from pixsim.optics.prescription import Prescription, Surface, Vignetting
 
 DATA = Path(__file__).parents[1] / "data" / "lenses"
@@ -76,6 +76,8 @@ TRIPLET = lens_named("cooke_triplet")
 SMALL = TRIPLET.stopped_down(10.0)
 RATIO = SMALL.stop_semi_diameter_mm / TRIPLET.stop_semi_diameter_mm
 TWICE = PHONE.scaled(2.0)
+DOT = made_of(Surface(1.0, 1e-5, GLASS), Surface(-1.0, 1.0), diameter=0.01, field=20.0)
+CONCENTRIC = made_of(Surface(1 / 50, 50.0, GLASS), Surface(0.0, 100.0, GLASS), diameter=0.2, stop=1)
 BEHIND = made_of(
     Surface(1 / 50, 4.0, GLASS), Surface(-1 / 50, 6.0), Surface(0.0, 40.0), diameter=6.0, field=5.0, stop=2
 )  # fmt: skip
@@ -153,11 +155,42 @@ CLAIMS = [
         [0.0],
         atol=1e-12,
     ),
+    *(
+        Claim(
+            f"the rule of Illinois needs twelve steps to a root between bends that lie {where}",
+            patch("pixsim.optics.lens._ROOT_STEPS", 12)(
+                lambda function=function: _root(
+                    function, *(part for x in np.array([[0.0], [2.0]]) for part in (x, function(x)))
+                )
+            ),
+            [root],
+            atol=1e-14,
+        )
+        for where, function, root in (
+            ("above", lambda x: x**3 - 0.5, 0.5 ** (1 / 3)),
+            ("below", lambda x: 0.5 - (2 - x) ** 3, 2 - 0.5 ** (1 / 3)),
+        )
+    ),
+    Claim(
+        "a focus 0.2 mm within a lens: an image may lie 1 % of the focal length in front of its end",
+        lambda: made_of(Surface(1 / 20, 60.3, GLASS), Surface(0.0, 5.0), diameter=2.0).first_order(550.0).back_focal_length_mm,
+        -0.2,
+        rtol=1e-12,
+    ),
+    Claim(
+        "second moment of a thin lens's light, NA²/4",
+        lambda: [
+            rays.shares @ rays.cosines**2 for rays in [DOT.directions(0.0, 550.0, 30.0)]
+        ],
+        [[0.005**2 / 4] * 2],
+        rtol=1e-4,
+        why="f/100, 10 nm thick",
+    ),
     Claim("a stop behind the lens: its middle", lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 2], [0, 0, 10.0], atol=1e-9),
     Claim(
-        "its chief ray",
-        lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 3, 1],
-        float(BEHIND.chief_ray(5.0, 550.0).height_mm),
+        "its chief ray in the image",
+        lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 3],
+        [0.0, float(BEHIND.chief_ray(5.0, 550.0).height_mm), 50.0],
         atol=1e-9,
     ),
     *(
@@ -310,10 +343,42 @@ CLAIMS = [
         why="aiming",
     ),
     Claim(
+        "a paraboloid of A2 = 1/40 mm is a sphere of 20 mm near the axis",
+        lambda: made_of(Surface(0.0, 60.0, GLASS, 0.0, ((2, 1 / 40),))).first_order(550.0).focal_length_mm,
+        40.0,
+        rtol=1e-14,
+    ),
+    Claim(
+        "a concentric image surface of 100 mm is in focus at half of its sag, with the plane through the middle",
+        lambda: np.subtract(
+            *(thickness_mm(CONCENTRIC.refocused(focus, np.inf, 2.0)) for focus in ("field", "axis"))
+        ),
+        -25 * np.tan(np.radians(2.0)) ** 2,
+        rtol=1.2e-3,
+        why="tan²",
+    ),
+    Claim(
+        "light comes from both sides of the field's plane alike",
+        lambda: PHONE.outline(20.0, 550.0, 64).radius[:, ::-1],
+        PHONE.outline(20.0, 550.0, 64).radius,
+    ),
+    *(
+        Claim(
+            f"the light of a disc of {radius:g} of the pupil's radius, {place:g} beside its middle",
+            lambda place=place, radius=radius, stop_mm=stop_mm: replace(
+                DOT, vignetting=((0.0, place * stop_mm, radius * stop_mm, radius * stop_mm),)
+            ).projected_solid_angle_sr(0.0, 550.0),
+            radius**2 * optics.irradiance_factor(100.0, 0.0),
+            rtol=1e-4,
+            why="f/100, 10 nm thick",
+        )
+        for stop_mm in [DOT.stop_semi_diameter_mm]
+        for place in (0.33, -0.71)
+        for radius in (0.03, 1e-4)
+    ),
+    Claim(
         "a thin lens has the fall-off of Foote",
-        lambda: made_of(
-            Surface(1.0, 1e-5, GLASS), Surface(-1.0, 1.0), diameter=0.01, field=20.0
-        ).projected_solid_angle_sr(np.linspace(0, 20, 5), 550.0),
+        lambda: DOT.projected_solid_angle_sr(np.linspace(0, 20, 5), 550.0),
         optics.irradiance_factor(100.0, np.tan(np.radians(np.linspace(0, 20, 5)))),
         rtol=1e-4,
         why="f/100, 10 nm thick",
@@ -530,10 +595,12 @@ def test_directions_fill_the_outline_and_follow_the_azimuth() -> None:
     rays = PHONE.directions(20.0, 550.0, np.degrees(azimuth))
     sine = np.sin(np.radians(PHONE.chief_ray(20.0, 550.0).angle_deg))
     outward = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    mean = (rays.cosines * rays.shares[..., None]).sum(axis=1)
+    across = np.stack([-np.sin(azimuth), np.cos(azimuth)], axis=-1)
+    turned = rays.cosines @ np.stack([outward, across], axis=-1)
+    mean = rays.shares[0] @ rays.cosines[0]
     check("chief rays", rays.chief_cosines, sine * outward, atol=1e-9, why="aiming")
-    check("mean", mean, mean[0, 0] * outward, atol=1e-9, why="turned")
-    check("mean along the field", mean[0, 0], sine, rtol=0.02, why="the pupil is not symmetric")
+    check("turned", turned, np.array([rays.cosines[0]] * 3), atol=1e-9, why="aiming")
+    check("mean", mean, [sine, 0.0], atol=0.02 * sine, why="the pupil is not symmetric")
 
 
 def test_light_behind_strong_aspheres_ends_at_the_first_edge() -> None:
@@ -601,6 +668,7 @@ REFUSED: list[tuple[str, Callable[[], object], str]] = [
     ("reflection", lambda: wide(made_of(Surface(0.0, 2.0, GLASS), Surface(-1 / 10, 20.0), diameter=4.0), 15.0, 0.95), "totally reflected"),
     ("marginal ray", lambda: made_of(*RIM, diameter=10.6, stop=1), "marginal ray .* surface 1"),
     ("virtual", lambda: made_of(Surface(-0.02, 3.0, GLASS), Surface(0.0, 5.0)), "positive focal"),
+    ("virtual by 1.5 %", lambda: made_of(Surface(1 / 20, 60.9, GLASS), Surface(0.0, 5.0), diameter=2.0), "back focal length of -0.6"),
     ("configuration", lambda: load_lens(DATA / "telephoto.toml", configuration=2), "like every .toml file"),
 ]  # fmt: skip
 

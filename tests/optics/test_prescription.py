@@ -481,14 +481,25 @@ def test_vignetting_factors_stand_for_the_apertures_that_they_were_made_of(tmp_p
 
 
 @pytest.mark.filterwarnings("ignore:.*vignetting factors")
-@pytest.mark.parametrize("name", ["along x", "negative"])
-def test_vignetting_factors_turn_with_the_field(name: str, tmp_path: Path) -> None:
-    text = re.sub(r"YFLN 0 (\S+) (\S+)", r"YFLN 0 -\1 -\2", FACTORS)
-    text = re.sub(r"VDYN 0 (\S+) (\S+)", r"VDYN 0 -\1 -\2", text)
-    if name == "along x":
-        text = re.sub(
-            "[XY](?=FLN)|(?<=V[DC])[XY](?=N)", lambda axis: "YX"["XY".index(axis[0])], FACTORS
-        )
+@pytest.mark.parametrize(
+    "text",
+    [
+        re.sub("[XY](?=FLN)|(?<=V[DC])[XY](?=N)", lambda axis: "YX"["XY".index(axis[0])], FACTORS),
+        re.sub(r"((?:YFL|VDY)N 0) (\S+) (\S+)", r"\1 -\2 -\3", FACTORS),
+        # Heights of objects, with the decentres of their images.
+        edited(
+            re.sub(r"VDYN 0 (\S+) (\S+)", r"VDYN 0 -\1 -\2", FACTORS),
+            "FTYP 0|FTYP 1",
+            "DISZ INFINITY|DISZ 1E10",
+            *(
+                f"{angle}|{1e10 * math.tan(math.radians(float(angle)))!r}"
+                for angle in ("1.7E+1", "2.4E+1")
+            ),
+        ),
+    ],
+    ids=["along x", "negative", "object heights"],
+)
+def test_vignetting_factors_turn_with_the_field(text: str, tmp_path: Path) -> None:
     wanted = load(tmp_path, FACTORS).vignetting
     check("ellipses", load(tmp_path, text).vignetting, wanted, rtol=1e-12, why="rounding")
 
