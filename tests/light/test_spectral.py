@@ -432,6 +432,7 @@ def test_reduced_to_fit_holds_limits(shape, bands, is_factored, columns, monkeyp
     [
         ({(3, 4): 1e6}, [(3, 4)]),
         ({(0, 0): 99.0}, []),  # less than a hundred times the others
+        ({(0, 0): 101.0}, [(0, 0)]),
         ({(3, 4): 1e6, (3, 5): 1e6}, []),  # a line: neighbours are as bright
         ({(3, 4): 1e6, (4, 3): 1e6}, []),
         ({(3, 4): 1e6, (4, 5): 1e6}, []),

@@ -233,6 +233,15 @@ REFUSED: list[tuple[str, Callable[[], object], str]] = [
             ([[0, 0], [1e400, 3]], "finite"),
         )
     ),
+    *(
+        (f"glare of {curve}", lambda curve=curve: LensOptions(veiling_glare=curve), words)
+        for curve, words in (
+            ([[400, 0.1], [500, 0.1], [2001, 0.1]], "100 to 2000 nm"),
+            ([[99, 0.1], [500, 0.1]], "100 to 2000 nm"),
+            ([[500, 0.1]], "of 1 points"),
+            ([[400, 0.1], [500, 1.0]], "a share of 1;.*In per cent"),
+        )
+    ),
     ("options without a file", lambda: LensOptions(refocus="field"), "refocus without file"),
 ]  # fmt: skip
 

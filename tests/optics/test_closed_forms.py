@@ -870,6 +870,15 @@ STACKS_IN_CLOSED_FORM = [
         [math.hypot(3.5 - X_UM, math.sqrt(3) * X_UM), 3.5],
         rtol=1e-14,
     ),
+    Claim(
+        "aperture and side at one point",
+        lambda: [
+            *aperture_mtf(Stack(6.5, 3.56, 8.0, 1.5), WAVE, [0.0, NYQUIST]),
+            *aperture_side_um(Stack(6.5, 3.5, 8.0, 1.5), WAVE),
+        ],
+        [1, 2 / math.pi, 6.5, 6.5],
+        atol=1e-15,
+    ),
     Claim("side under a microlens", lambda: aperture_side_um(Stack(6.5, 3.5, 8.0, 1.5), PUPILS), np.full((2, 2), 6.5)),
     Claim("Fresnel number n p²/(4 λ h)", lambda: Stack(1.4, 0.8, 2.5, 1.5).fresnel_number(700.0), 1.5 * 1.4**2 / (4 * 0.7 * 2.5), rtol=1e-12),
     *(

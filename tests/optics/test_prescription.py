@@ -299,6 +299,9 @@ NUMBERS: dict[str, tuple[str, str, Callable, object, float]] = {
     "factors without a field on the axis": (
         edited(FACTORS, "YFLN 0 1.7E+1|YFLN 5 1.7E+1"), ".zmx", lambda lens: 1 + lens.vignetting[0][0], 1.0, 1e-15
     ),
+    "wavelengths in use": (
+        edited(AIR, "WAVM 1 5.5E-1 1|WAVM 1 .55 1\nWAVM 2 .65 1"), ".zmx", lambda lens: lens.prescription.wavelengths_nm, [550.0], 1e-15
+    ),
     "blank glass": (
         edited(ZMX, "GLAS N-BAK1 0 0 1.572500121386|GLAS ___BLANK 1 0 1.572500121386"), ".zmx", lambda lens: n_d(lens, 1), 1.572500121386, 1e-11
     ),
