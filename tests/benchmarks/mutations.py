@@ -670,11 +670,20 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "top + spread_rows",
         "(2 * (top + spread_rows))",
     ): "rows before the first one are left out in any case",
+    **{
+        ("pixsim/optics/camera_lens.py", "_COARSE_FILM * cell_um", after): (
+            "from which film on PSFs of its own take less time"
+        )
+        for after in ("(2 * (_COARSE_FILM * cell_um))", "_COARSE_FILM / cell_um")
+    },
     (
         "pixsim/optics/camera_lens.py",
-        "_COARSE_FILM * cell_um",
-        "(2 * (_COARSE_FILM * cell_um))",
-    ): "from which film on PSFs of its own take less time",
+        "math.hypot(width_um, height_um) / 2",
+        "math.hypot(width_um, height_um) * 2",
+    ): "the traced heights end 1e-6 beyond the corner",
+    ("pixsim/optics/camera_lens.py", "-2j", "(-(-2j))"): (
+        "a mirrored PSF has the same errors as the PSF"
+    ),
     (
         "pixsim/optics/field_blur.py",
         "np.finfo(float).eps * columns.shape[1]",

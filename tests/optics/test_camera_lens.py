@@ -735,6 +735,18 @@ KERNELS = [
     ),
     *(
         Claim(
+            "and that of large PSFs at a low frequency, where it falls linearly",
+            lambda cosine=cosine: FieldBlur(
+                (1, 257), 2.0, 4, {(0, 0): Psf(np.ones((129, 129), np.float32))}
+            )._with_tails_as_veil(0 * cosine, cosine),
+            cosine * veil_mtf(np.array(1 / (2 * 257 * 2e-3)), 2 * 129 / math.sqrt(np.pi)),
+            atol=2e-5,
+            why="16384 frequencies",
+        )
+        for cosine in [np.cos(np.pi * np.arange(0.5, 257) / 257)[None]]
+    ),
+    *(
+        Claim(
             "transform of two PSFs with their tails",
             lambda pair=pair: psf_transform(pair, 2.0, 24),
             sum(
@@ -952,6 +964,39 @@ KERNELS = [
         0.0,
         atol=1e-4,
         why="its f-number in nine digits",
+    ),
+    *(
+        Claim(
+            "the error of a thin lens's diffraction is the largest up to the corner",
+            lambda light=light: _blur_error(F16, light, 1.0, 5.0),
+            max(
+                picture_error(
+                    optics.diffraction_otf(1e3 * frequency, NM, F16.effective_f_number) + 0j,
+                    np.fft.rfft2(periodic_psf(light, x_um, 0.0, 1.0, 320)),
+                    1.0,
+                    5.0,
+                )
+                for x_um in (0.0, 280.0, 400.0)
+            ),
+            rtol=3e-3,
+            why="frequencies of another window",
+        )
+        for light in [thin_lens_light(8.0, np.linspace(0, 0.4, 9), aberrated)]
+        for frequency in [np.hypot(np.fft.fftfreq(320)[:, None], np.fft.rfftfreq(320))]
+    ),
+    Claim(
+        "distortion of a film that is too coarse for waves errs as it does elsewhere",
+        lambda: [
+            _tiling_without_blur(points_on(camera, np.zeros(1)), sharp).error
+            / picture_error(1 + moved[:, :17] + 0j, np.ones((32, 17), complex), 20.0, 30.0)
+            for camera in [with_lens("singlet", 3.0, focal_length_mm=12.0)]
+            for moved in [moved_error(camera_distortion(camera), 20.0, np.fft.fftfreq(32))]
+            for numbers in [np.r_[0.1, 0.1, 0.0, 0 * TERM_WAVES, np.ones(OUTLINE_ANGLES)]]
+            for front in [FittedWavefronts(NM, np.zeros(1), numbers[None], 0.0)]
+            for sharp in [ChannelWavefronts([front], np.ones(1))]
+        ],
+        [1.0],
+        rtol=1e-9,
     ),
     Claim(
         "PSFs of 9 coarse cells: all of 36 frequencies that have no Nyquist frequency",
@@ -1739,22 +1784,30 @@ def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
     """
     points = _TestPoints(Camera(die_mm=6.0), (1200, 2400), 2.5, np.ones(1), np.ones(1), 5.0)
     vars(points).update(bins=2, heights_um=4e3 * np.array([0.0, 0.25, 0.5, 0.7, 0.86, 0.97]))
-    check(
-        "cells of twice the size",
-        [points.grid_cells(9), points.grid_cells(33)],
-        [5, 17],
-        why="odd, with as many on each side",
-    )
     exact = np.ones((6, 8, 5), complex)
     cells_at_points: list[int] = []
     for name, value in {
         "camera_psfs": lambda *_: None,
         "psfs_between_tiles": lambda *args: cells_at_points.append(args[-1]) or args[-2],
         "psf_transform": lambda spacing, *_: exact[0] * (1 + (2 * spacing / 1000) ** 3),
+        "choose_tiling": lambda _, **arguments: arguments["aperture_um"],
     }.items():
         monkeypatch.setattr(camera_lens, name, value)
+    check(
+        "odd cells of twice the size, with as many on each side; dots of two samples",
+        [
+            points.grid_cells(9),
+            points.grid_cells(33),
+            camera_lens.image_tiling(
+                SpectralImage([550.0], 10.0, 2.5, data=np.ones((8, 8, 1))),
+                with_lens("singlet", 6.0),
+            ),
+        ],
+        [5, 17, 5.0],
+        why="exact",
+    )
     got = []
-    for tolerance in (1.3e-3, 1.1e-3, 3.3e-4, 2.2e-4):
+    for tolerance in (1.3e-3, 1.1e-3, 3.3e-4, 2.2e-4, 1e-5):
         tiling = _with_fewest_tiles(points, Tiling(0.0, 165.0, 0.0), exact, 2e-4, tolerance)
         got.append((tiling.spacing_um / 2.5, tiling.error, tiling.worst, sum(cells_at_points) / 33))
         cells_at_points.clear()
@@ -1763,7 +1816,13 @@ def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
         got,
         [
             (spacing, 2e-4 + (spacing / 1000) ** 3, 2e-4 + (spacing / 1000) ** 3, computed)
-            for spacing, computed in ((100, 6), (75, 6 + 6), (50, 2 + 6), (38, 2 + 2 + 6))
+            for spacing, computed in (
+                (100, 6),
+                (75, 6 + 6),
+                (50, 2 + 6),
+                (38, 2 + 2 + 6),
+                (38, 2 + 6),
+            )
         ],
         rtol=1e-9,
         why="rounding",
@@ -1773,13 +1832,25 @@ def test_tiling_has_the_fewest_tiles_within_the_tolerance(monkeypatch) -> None:
 def test_mtf_of_a_slow_lens_is_that_of_diffraction_and_of_a_fast_one_far_below() -> None:
     """Its rms over the die: of a tiny die on the axis of a slow lens that of the thin lens."""
     frequency = np.linspace(0, 45, 10)
-    header = {LENS_HEADER: asdict(Tiling(20.0, 40.0, 0.0))}
-    image = SpectralImage([550.0], 10.0, 2.0, data=np.ones((50, 50, 1)), header=header)
+    image = SpectralImage(
+        [550.0],
+        10.0,
+        2.0,
+        data=np.ones((50, 50, 1)),
+        header={LENS_HEADER: asdict(Tiling(20.0, 40.0, 0.0))},
+    )
     slow = with_lens("singlet", 0.1, options=CameraOptions(f_number=32.0), focal_length_mm=12.0)
     otf = optics.diffraction_otf(frequency, 550.0, slow.effective_f_number)
     check("f/32", lens_mtf(image, slow, np.ones(1), frequency), otf, atol=5e-3, why="waves")
     fast = with_lens("singlet", 2.7, focal_length_mm=12.0)
-    mtf = lens_mtf(image, fast, np.ones(1), frequency)
-    check("at 0", mtf[0], 1.0, atol=1e-12, why="light")
-    assert 0.01 < mtf[6] < 0.7 * optics.diffraction_otf(30.0, 550.0, fast.effective_f_number)
+    heights_um = np.linspace(0, 1350 * math.sqrt(2), 9)
+    means = _area_shares(fast, heights_um) @ [
+        np.abs(np.fft.rfft2(periodic_psf(light, x_um, 0.0, 1.0, 256))[[0, 0, 8], [0, 8, 0]]) ** 2
+        for light in [
+            channel_wavefronts(fast, np.array([550.0]), np.ones(1), Tiling(20.0, 40.0, 0.0))
+        ]
+        for x_um in heights_um
+    ]
+    mtf = lens_mtf(image, fast, np.ones(1), np.array([0.0, 8e3 / 256]))
+    check("squares", mtf**2, [1, means[1:].mean()], atol=1e-3, why="lines between frequencies")
     assert lens_mtf(image, without_lens(fast), np.ones(1), frequency) is None
