@@ -213,7 +213,7 @@ SOFT_WELL = {
     "pitch_um": 6.0,
     "full_well_e": None,
 }
-QUIET_3T = SOFT_WELL | {"bits": 16, "reset_noise_factor": 0.0, "dark_current_e_per_s": 1e4}
+QUIET_3T = SOFT_WELL | {"bits": 16, "reset_noise_factor": 0.0, "offset_fpn": 0.0}
 ENDS: dict[str, dict] = {
     "well": {"gain_e_per_dn": 1.3 * ADC_AT_END_E_PER_DN},
     "ADC": {"gain_e_per_dn": ADC_AT_END_E_PER_DN, "full_well_e": 4000.0},
@@ -289,6 +289,7 @@ def drawn_moments(exposure: _ClippedExposure, charge_e: float) -> list[float]:
         ),
         np.full(STEPS.size, exposure.readout.dn_per_e * math.sqrt(exposure.read_e2)),
         exposure.readout.top_code_dn,
+        coarse_dn=0.0,
     )
     return [LAW @ mean_dn, LAW @ (variance_dn2 + (mean_dn - LAW @ mean_dn) ** 2)]
 
