@@ -460,28 +460,39 @@ def test_a_thousandth_of_the_scatter_is_resolved(share: float, names: set[str]) 
     assert without_effect(Run(pixel=Pixel(**FAINT, dsnu_e=share * 1e-3 * scatter_e))) == names
 
 
+GOLDEN_S = 0.05 * (math.sqrt(5) - 1)  # part of the longest time
+
+
 @pytest.mark.parametrize(
-    ("exposure", "share", "time_s"),
+    ("exposure", "pixel", "share", "time_s"),
     [
-        ({"integration_s": 0.01}, 0.5, 0.01),
-        ({}, 0.95, 0.05 * (math.sqrt(5) - 1)),
-        ({"flicker_hz": 100.0, "flicker_depth": 0.02}, 0.95, 0.005 * (math.sqrt(5) - 1)),
+        ({"integration_s": 0.01}, {}, 0.5, 0.01),
+        ({}, {}, 0.95, GOLDEN_S),
+        ({"flicker_hz": 100.0, "flicker_depth": 0.02}, {}, 0.95, GOLDEN_S / 10),
+        ({"frames": 3, "frame_time": "each"}, {}, 0.95, 3 * GOLDEN_S),
+        ({}, {"dark_current_e_per_s": 2e5}, 0.95, 0.5 * 0.95 * 8000 / 2e5),
+        ({}, {"readout": {"kind": "staggered", "ratio": 4.0}}, 0.95, GOLDEN_S),
     ],
     ids=str,
 )
 def test_small_light_fills_no_pixel_and_shows_the_whole_field(
-    exposure: dict[str, float], share: float, time_s: float
+    exposure: dict[str, float], pixel: dict, share: float, time_s: float
 ) -> None:
     """Half of the well in a stated time; else a golden part of the longest time, or of a period of
-    lamps. White is 1.1 times the brightest dot. Within 1 %, for the blur of the brightest part.
+    lamps, or the time in which dark charge takes half. White is 1.1 times the brightest dot. Within
+    1 %, for the blur of the brightest part.
     """
-    base = settings_of(Run(pixel=Pixel(**FAINT), exposure=Exposure(**exposure))).base
+    height = {"die_height_mm": Camera().die_mm / 2}
+    run = Run(
+        pixel=Pixel(**FAINT | pixel), exposure=Exposure(**exposure), camera=CameraOptions(**height)
+    )
+    base = settings_of(run).base
     camera = base.imaging.camera
-    assert base.frame.dn.shape == (20, 20)
+    assert base.frame.estimate_e.shape == (10, 20)
     fill = base.mean_e.max() / base.readout.saturation_e
     assert (base.frame.integration_s, fill) == pytest.approx((time_s, share), rel=0.01)
     field = camera.fov_deg, *camera.die_um
-    assert field == pytest.approx((Camera().fov_deg, 100.0, 100.0), rel=1e-9)
+    assert field == pytest.approx((Camera(**height).fov_deg, 50.0, 100.0), rel=1e-9)
     assert base.prepared.screen.ideal.max() == pytest.approx(1 / 1.1, abs=0.002)
 
 
