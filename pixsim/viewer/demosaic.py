@@ -376,7 +376,7 @@ def _neighbour_weights(line: Sequence[str], index: int, channel: str) -> dict[in
     """
     if channel not in line:
         return {}
-    distances = range(1, len(line) + 1)
+    distances = range(1, len(line))
     before = next(d for d in distances if line[(index - d) % len(line)] == channel)
     after = next(d for d in distances if line[(index + d) % len(line)] == channel)
     return {-before: after / (before + after), after: before / (before + after)}

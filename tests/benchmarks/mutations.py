@@ -127,6 +127,35 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "frame.mean_e + frame.mean_dark_e",
         "frame.mean_e - frame.mean_dark_e",
     ): "frames of more dark charge differ as much",
+    ("pixsim/viewer/demosaic.py", "len(line)", "(len(line)) + 1"): (
+        "a distance at which a line repeats, where a pixel lacks the channel"
+    ),
+    ("pixsim/viewer/raw_metrics.py", "1e3 / path_um", "(2 * (1e3 / path_um))"): (
+        "the MTF is a half before its first zero, in a table half as fine"
+    ),
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "exposure.charge_e2(0.0) + exposure.read_e2",
+        "(2 * (exposure.charge_e2(0.0) + exposure.read_e2))",
+    ): "a table that ends farther up",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "FARTHEST_SIGMAS * math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2)",
+        "(2 * (FARTHEST_SIGMAS * math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2)))",
+    ): "a table that ends farther up",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "FARTHEST_SIGMAS * math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2)",
+        "FARTHEST_SIGMAS / math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2)",
+    ): "a first guess, which is doubled until noise no longer reaches code 0",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "spread_e[-1] * steps[::-1]",
+        "spread_e[-1] / steps[::-1]",
+    ): "behind the last signal of a table the mean of codes is straight",
+    ("pixsim/viewer/chain.py", "whites / whites.max()", "(2 * (whites / whites.max()))"): (
+        "flat frames are as bright as stated in their brightest pixel"
+    ),
     (
         "pixsim/viewer/raw_metrics.py",
         "spread_e[0] * steps",
