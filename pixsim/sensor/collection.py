@@ -597,8 +597,8 @@ class ColourCollection:
         read_layout = Layout(self._read_cell, self.layout.is_stacked)
         pixels = (1, 1)
         if not self.layout.is_stacked:
-            # Three unit cells, and at least five pixels, around the cell in the middle.
-            rows, columns = ((2 * max(1, -(-5 // side)) + 1) * side for side in self.layout.period)
+            # The middle one of three unit cells has all neighbours, or reflections like them.
+            rows, columns = (3 * side for side in self.layout.period)
             pixels = rows, columns
 
         mixing = np.empty((count, count))

@@ -55,11 +55,21 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/stack.py", "end - start", "(2 * (end - start))"): (
         "shares are ratios of two such moments"
     ),
-    (
-        "pixsim/sensor/integration.py",
-        "number + _BLUR_WORK",
-        "(2 * (number + _BLUR_WORK))",
-    ): "how far a progress bar has come",
+    **{
+        ("pixsim/sensor/integration.py", before, after): "how far a progress bar has come"
+        for before, after in (
+            ("number + _BLUR_WORK", "number - _BLUR_WORK"),
+            ("number + _BLUR_WORK", "(2 * (number + _BLUR_WORK))"),
+            ("(number + _BLUR_WORK) / count", "(number + _BLUR_WORK) * count"),
+            ("(number + _BLUR_WORK) / count", "(2 * ((number + _BLUR_WORK) / count))"),
+            ("number / count", "number * count"),
+            ("number / count", "(2 * (number / count))"),
+            ("number + 1", "number - 1"),
+            ("number + 1", "(2 * (number + 1))"),
+            ("(number + 1) / count", "(number + 1) * count"),
+            ("(number + 1) / count", "(2 * ((number + 1) / count))"),
+        )
+    },
     (
         "pixsim/sensor/photodiode.py",
         "LINEAR_WITHIN * full_well_e",
@@ -568,6 +578,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/stack.py", "high - low", "(2 * (high - low))"): (
         "from how many rays on a table takes the place of integrals, and how far beyond them it goes"
     ),
+    (
+        "pixsim/sensor/saturation.py",
+        "_CAPACITY_WITHIN * capacity_e",
+        "(2 * (_CAPACITY_WITHIN * capacity_e))",
+    ): "the well that is accepted is the one that a search finds",
     ("pixsim/sensor/saturation.py", "_WELL_WITHIN * capacity_e", "_WELL_WITHIN / capacity_e"): (
         "the same root in a smaller interval"
     ),
@@ -801,8 +816,13 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "(2 * (_PEAK_WITHIN * brightest_e))",
     ): ("where a search for a peak ends, which is closer by then"),
     **{
-        ("pixsim/sensor/saturation.py", before, f"(2 * ({before}))"): "more nodes of a quadrature"
+        (
+            "pixsim/sensor/saturation.py",
+            before,
+            f"(2 * ({before}))",
+        ): "how many nodes a quadrature has"
         for before in (
+            "mean_e + dark_e",
             "gain_spread * mean_e",
             "gain_spread * mean_e / temporal_e",
             "offset_spread_e / temporal_e",

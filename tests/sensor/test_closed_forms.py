@@ -65,6 +65,7 @@ from pixsim.sensor.pixel import (
 )
 from pixsim.sensor.reading import Adc, Readout, dark_spread_e, least_black_level_dn
 from pixsim.sensor.readout import (
+    _draw_summed_codes,
     frame_mean_dn,
     frame_variance_dn2,
     integration_time_s,
@@ -936,6 +937,20 @@ PHOTODIODES = [
         ],
         [0.0, -math.inf],
     ),
+    Claim(
+        "a junction whose capacitance does not fall is constant",
+        lambda: [replace(DIODE, mj=0.0, mjsw=0.0).constant, DIODE.constant],
+        [1, 0],
+    ),
+    Claim(
+        "dim pixels beside full ones keep their charge",
+        lambda: stored_signal_e(
+            np.array([1.0, 1e3, 1e6]), 0.03, Readout.of(pixel_035(well_limit="diode"))
+        )[:2],
+        [1.0, 1e3],
+        rtol=2e-6,
+        why="1e-6 of the well, at the end of the linear range",
+    ),
     Claim("kT/q at 27 °C", lambda: DIODE.thermal_v, boltzmann * 300.15 / electron, rtol=1e-12),
     Claim(
         "the diode current is the dark current",
@@ -1344,6 +1359,28 @@ READING = [
         [160_000.0, 240_000.0, 160_000.0, 0.01, 0.15, math.sqrt(TEMPORAL_E2)],
         rtol=1e-12,
     ),
+    # 6 √(20² + 15²) over 20 e-/DN are 8 codes, of which a black level takes 7 of 15 at most.
+    Claim(
+        "full well of a stated capacity, which an ADC of 4 bits with a black level limits",
+        lambda: (
+            derive(
+                Pixel(
+                    technology="none",
+                    pitch_um=2.0,
+                    quantum_efficiency=0.5,
+                    dark_current_e_per_s=0.0,
+                    read_noise_e=20.0,
+                    dsnu_e=15.0,
+                    prnu=0.0,
+                    saturation_capacity_e=90.0,
+                    gain_e_per_dn=20.0,
+                    bits=4,
+                )
+            ).full_well_e
+        ),
+        full_well_for_e(90.0, 160.0, 20.0, 0.0, 15.0),
+        rtol=1e-12,
+    ),
     Claim(
         "a sum is hot if one of its pixels is",
         lambda: [BINNED.dark_spread.hot_fraction, BINNED.dark_spread.hot_median],
@@ -1385,6 +1422,20 @@ READING = [
             + 8 / 12,
         ],
         rtol=1e-12,
+    ),
+    # Of 2.5 e- and 3 e- of noise in each, 5 e-/DN; 1/12 DN² of each but the last is a normal value.
+    Claim(
+        "codes of eight exposures that are drawn at once scatter as their sum",
+        lambda: _draw_summed_codes(
+            [np.full((500, 500), 2.5)],
+            np.zeros((1, 1)),
+            np.zeros((8, 1, 1)),
+            readout(**QUIET_SHEET | {"read_noise_e": 3.0, "gain_e_per_dn": 5.0}),
+            np.random.default_rng(1),
+        ).var(),
+        8 * (11.5 / 25 + 1 / 12),
+        rtol=0.014,
+        why="5 standard errors of 250 000 values",
     ),
     Claim(
         "variance by source",

@@ -24,7 +24,7 @@ from helpers.high_range import (
     staggered,
 )
 from helpers.statistics import seeded
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 import pixsim
 from pixsim import Pixel, PixsimError
@@ -122,7 +122,11 @@ def bias_by_passing_e(*level_e: float) -> np.ndarray:
     return np.subtract(
         *(
             merged_level(
-                Readout.of(derive(pixel(LIMITED | {"validity_sigmas": 2}, read_noise_e=8))),
+                Readout.of(
+                    derive(
+                        pixel(LIMITED | {"validity_sigmas": 2}, read_noise_e=8, black_level_dn=0)
+                    )
+                ),
                 np.array(level_e),
                 0.0,
                 passing=passing,
@@ -245,6 +249,19 @@ NUMBERS = [
         "full share where shot noise of 100 electrons is a deviation beyond a limit of 9900, Φ(1)",
         lambda: (bias_e := bias_by_passing_e(1e4, 1.5e4, 2e4))[0] / (2 * bias_e[1] - bias_e[2]),
         0.841345,
+        6,
+    ),
+    # Of codes below 9900 less two deviations of noise and rounding: up to 4088, with half a code.
+    (
+        "share of full readings that pass, and their mean, of the tail of a normal law",
+        lambda: (
+            share := -np.diff(bias_e := bias_by_passing_e(1.5e4, 2e4))[0] / 5e3,
+            1.5e4 + bias_e[0] / share,
+        ),
+        [
+            passing := norm.cdf((4088.5 * 9900 / 4095 - 9900) / 8),
+            9900 - 8 * norm.pdf(norm.ppf(passing)) / passing,
+        ],
         6,
     ),
     (
@@ -742,13 +759,15 @@ def test_merged_frames_have_no_codes_of_their_own() -> None:
 
 @pytest.mark.parametrize("suffix", [".npz", ".exr", ".tiff", ".png"])
 def test_raw_files_have_the_readings_one_below_the_other(tmp_path: Path, suffix: str) -> None:
-    frame = frame_of(pixel(DUAL, black_level_dn=64), 1000.0)
+    """With the sums of four exposures; 0.1 % of the mean is eight standard errors."""
+    frame = frame_of(pixel(DUAL, **DARK), 1000.0, Exposure(integration_s=TIME_S, frames=4))
     pixsim.write_frame(tmp_path / f"raw{suffix}", frame)
     raw = pixsim.read_frame(tmp_path / f"raw{suffix}")
     low = raw.readings["low"]
     electrons = (raw.readings_dn["low"].astype(float) - low["black_level_dn"]) / low["dn_per_e"]
     assert np.array_equal(raw.readings_dn["high"], frame.readings["high"])
-    assert electrons.mean() == pytest.approx(1000, rel=0.005)
+    assert electrons.mean() - low["dark_e"] == pytest.approx(1000, rel=0.001)
+    assert low["white_level_dn"] == 4 * 4095
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".exr", ".tiff", ".png"])
