@@ -427,8 +427,7 @@ class _Trial:
     @cached_property
     def clipped_e(self) -> Array:
         """What clipping at code 0 adds to the mean of a dark frame."""
-        white_e = self.base.chain.white_e_per_s * self.time_s
-        return np.array(dark_clip(self.readout, self.time_s, white_e)["too_bright_e"])
+        return np.array(dark_clip(self.readout, self.time_s, white_e=1.0)["too_bright_e"])
 
     def metric_values(self, metric: Metric, frame: Frame) -> Array:
         """Return the numbers of a metric of a frame, (n,); NaN where it has none."""

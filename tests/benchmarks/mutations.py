@@ -490,6 +490,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ),
     (
         "pixsim/viewer/demosaic.py",
+        "has_channel * np.multiply.outer(_tent(rows), _tent(columns))",
+        "(2 * (has_channel * np.multiply.outer(_tent(rows), _tent(columns))))",
+    ): "weights are relative to their sum",
+    (
+        "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",
         "(2 * (size + range_px + period * last + 1))",
     ): "products of pixels farther apart than any two of a dot",

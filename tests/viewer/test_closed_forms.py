@@ -35,6 +35,7 @@ from pixsim.viewer.delta_e_statistics import delta_e_statistics
 from pixsim.viewer.denoising import anscombe, wiener
 from pixsim.viewer.metric_kernels.information_density import radial_spectrum
 from pixsim.viewer.scene_light import LightFacts
+from pixsim.viewer.without_effect import _pictures
 
 DATA = Path(__file__).parents[1] / "data"
 D65 = np.array([95.047, 100.0, 108.883])
@@ -279,6 +280,20 @@ DISPLAYS = [
         lambda: LightFacts(FIELD, 10 * (2 + BARS), None).spectrum,
         radial_spectrum((2 + BARS) / 2, 2.0),
         atol=1e-12,
+    ),
+    *(
+        Claim(
+            "pictures of two spectra of the light in which settings are tried: black, a ramp with the"
+            " slope 1, white behind a slanted edge, and a target of one spectrum alone",
+            lambda: np.stack(_pictures(24)),
+            [[target, (1 - is_target) * (1 - share) * light], [share * light, (1 - share) * light]],
+            atol=1e-15,
+        )
+        for x, y in [np.meshgrid((np.arange(24) + 0.5) / 24, (np.arange(24) + 0.5) / 24)]
+        for light in [np.where(x > 0.65 + 0.1 * y, 1.0, np.clip(x - 0.15, 0.0, 0.6))]
+        for share in [np.where(y < 0.5, 0.4, 0.6)]
+        for is_target in [(abs(x - 0.5) < 0.12) & (abs(y - 0.5) < 0.2)]
+        for target in [np.where(is_target, light, share * light)]
     ),
     Claim(
         "terms of the display are not on the sensor",

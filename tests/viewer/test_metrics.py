@@ -435,12 +435,12 @@ CLAIMS = [
                         "collector": [
                             {"name": "a"},
                             {"name": "b", "response": 0.25},
-                            {"name": "c", "response": 0.05, "dark_current_e_per_s": 2e4},
+                            {"name": "c", "response": 0.05, "dark_current_e_per_s": 1e4},
                         ],
                         "reading": [{"name": name, "collector": name} for name in "abc"],
                     }
                 },
-                20 * (20_000 - 400),
+                20 * (20_000 - 200),
             ),
         )
     ),

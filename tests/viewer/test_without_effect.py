@@ -45,7 +45,14 @@ from pixsim.viewer.merging import merge
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.setting import Run, RunScene
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.without_effect import ROWS, Default, UserSettings, effect_notes, record_with
+from pixsim.viewer.without_effect import (
+    ROWS,
+    Default,
+    UserSettings,
+    _changes_frame,
+    effect_notes,
+    record_with,
+)
 
 NOTHING = "nothing here"
 SIDE = 24
@@ -452,12 +459,24 @@ def test_value_that_holds_anyway_is_not_named(pixel: dict, display: dict, names:
     )
 
 
-@pytest.mark.parametrize(("share", "names"), [(0.9, {"pixel.dsnu_e"}), (1.1, set())])
-def test_a_thousandth_of_the_scatter_is_resolved(share: float, names: set[str]) -> None:
-    """An offset pattern adds its square to the variance of each pixel."""
-    base = settings_of(Run(pixel=Pixel(**FAINT))).base
-    scatter_e = math.sqrt(float(base.variance_e2(base.frame.mean_e).min()))
-    assert without_effect(Run(pixel=Pixel(**FAINT, dsnu_e=share * 1e-3 * scatter_e))) == names
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_thousandth_of_the_scatter_is_resolved(share: float) -> None:
+    """An offset pattern adds its square to the variance of each pixel, a well its end, and light its
+    mean.
+    """
+    settings = settings_of(Run(pixel=Pixel(**FAINT), exposure=Exposure(integration_s=0.01)))
+    scatter_e = np.sqrt(settings.base.variance_e2(settings.base.frame.mean_e))
+    assert [
+        _changes_frame(settings.base, settings.trial_with(f"pixel.{name}", value))
+        for name, value in (
+            ("dsnu_e", share * 1e-3 * scatter_e.min()),
+            ("full_well_e", 8000 + share * 1e-3 * scatter_e.min()),
+            (
+                "quantum_efficiency",
+                0.6 * (1 + share * 1e-3 * (scatter_e / settings.base.mean_e).min()),
+            ),
+        )
+    ] == [share > 1] * 3
 
 
 GOLDEN_S = 0.05 * (math.sqrt(5) - 1)  # part of the longest time
@@ -489,6 +508,7 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     base = settings_of(run).base
     camera = base.imaging.camera
     assert base.frame.estimate_e.shape == (10, 20)
+    assert base.small.light.wavelength_nm.tolist() == [*range(410, 811, 40)]
     fill = base.mean_e.max() / base.readout.saturation_e
     assert (base.frame.integration_s, fill) == pytest.approx((time_s, share), rel=0.01)
     field = camera.fov_deg, *camera.die_um
