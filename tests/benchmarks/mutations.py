@@ -355,6 +355,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "share * edge",
         "(2 * (share * edge))",
     ): "the same edge, between places farther apart",
+    (
+        "pixsim/optics/lens.py",
+        "1e-3 * self.entrance_pupil_diameter_mm",
+        "1e-3 / self.entrance_pupil_diameter_mm",
+    ): "a secant through another second point leads to the same ray",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),
