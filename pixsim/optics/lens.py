@@ -1768,7 +1768,7 @@ class Lens:
         # Gauss-Legendre over the area of the picture, equal rings and angles over half of the stop.
         node, share = np.polynomial.legendre.leggauss(4)
         if not largest_deg:
-            node = np.array([-1.0])
+            node = np.zeros(1)
             share = np.array([2.0])
         tangents = math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2)
         nm = self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)

@@ -360,6 +360,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "1e-3 * self.entrance_pupil_diameter_mm",
         "1e-3 / self.entrance_pupil_diameter_mm",
     ): "a secant through another second point leads to the same ray",
+    (
+        "pixsim/optics/prescription.py",
+        "position + 1 - len(line.words)",
+        "(2 * (position + 1 - len(line.words)))",
+    ): "zeros behind the end of a list are what it has there",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -161,11 +161,16 @@ def test_stated_per_cent_are_obeyed_and_small_ones_are_noted(tmp_path: Path) -> 
         assert read_curve(path) == ((400.0, 0.003), (500.0, 0.004))
 
 
-def test_title_of_units_alone_leaves_the_names(tmp_path: Path) -> None:
-    table = read_table(
-        written(tmp_path, "λ;R;G\nnm;A/W;A/W\n400;1;2\n"), "curve", "a table", 2, 1000
-    )
-    assert [(column.title, column.unit) for column in table.columns] == [("R", "A/W"), ("G", "A/W")]
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("λ;R;G\nnm;A/W;A/W\n400;1;2\n", [("R", "A/W"), ("G", "A/W")]),
+        ("λ;S1;S2\nnm;R;A/W\n400;1;2\n", [("R", ""), ("A/W", "A/W")]),
+    ],
+)
+def test_title_of_units_alone_leaves_the_names(text: str, columns, tmp_path: Path) -> None:
+    table = read_table(written(tmp_path, text), "curve", "a table", 2, 1000)
+    assert [(column.title, column.unit) for column in table.columns] == columns
 
 
 @pytest.mark.parametrize(

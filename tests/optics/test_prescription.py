@@ -676,6 +676,7 @@ REFUSED: list[tuple[str, str, dict, str]] = [
                 for kind in ("DIAM",)
                 for value in ("1e-40", "1e300")
             ),
+            (AIR, f"{BEHIND}|GLAS N-BK7 4 0 0 0 0 0 0 0 -0.52 0", "shift of glass .*above 1"),
             (EXTENDED.replace("XDAT", "XDUT"), "|", "XASPHERE without XDAT"),
             (EXTENDED, "  XDAT 1 3|  PARM 2 2.5E-06\n  XDAT 1 3", "in both PARM and XDAT"),
             (EXTENDED, "XDAT 2 1 |XDAT 2 0 ", "normalisation radius: got 0"),
@@ -878,9 +879,10 @@ def test_names_that_are_found(name: str, makers: tuple[str, ...], full_name: str
 
 
 def test_glass_of_an_absent_catalogue_needs_its_numbers() -> None:
+    """Of n_d 1.8830 and V_d 40.76, to 5e-4 and 1 %."""
     with pytest.warns(UserWarning, match=r"'S-LAH58' is taken from OHARA:S-LAH58; .*\(MINE\)"):
-        glass = find_glass("S-LAH58", "x", makers=["MINE"], numbers=(1.883, 40.8))
+        glass = find_glass("S-LAH58", "x", makers=["MINE"], numbers=(1.8834, 41.1))
     assert glass.name == "OHARA:S-LAH58"
-    for numbers in ((1.8, 40.8), (1.883, 39.0)):
+    for numbers in ((1.8836, 40.8), (1.883, 40.3)):
         with pytest.raises(PixsimError, match=r"catalogues that the file names \(MINE\)"):
             find_glass("S-LAH58", "x", makers=["MINE"], numbers=numbers)
