@@ -365,6 +365,76 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "position + 1 - len(line.words)",
         "(2 * (position + 1 - len(line.words)))",
     ): "zeros behind the end of a list are what it has there",
+    (
+        "pixsim/optics/stack.py",
+        "first + POINTS",
+        "(first + POINTS) + 1",
+    ): "some points are computed twice",
+    (
+        "pixsim/optics/stack.py",
+        "first + POINTS",
+        "(2 * (first + POINTS))",
+    ): "some points are computed twice",
+    (
+        "pixsim/optics/stack.py",
+        "first + count",
+        "(first + count) + 1",
+    ): "some points are computed twice",
+    (
+        "pixsim/optics/stack.py",
+        "first + count",
+        "(2 * (first + count))",
+    ): "some points are computed twice",
+    (
+        "pixsim/optics/stack.py",
+        "3 * stack.pitch_um / spot_um + _FAR_SPOTS",
+        "(2 * (3 * stack.pitch_um / spot_um + _FAR_SPOTS))",
+    ): "a spot so far away, of which photodiodes collect 1e-7",
+    (
+        "pixsim/optics/lens.py",
+        "fields.size * x.size * len(self.prescription.surfaces)",
+        "(2 * (fields.size * x.size * len(self.prescription.surfaces)))",
+    ): "how many threads trace",
+    (
+        "pixsim/optics/lens.py",
+        "fields.size * x.size * len(self.prescription.surfaces)",
+        "fields.size * x.size / len(self.prescription.surfaces)",
+    ): "how many threads trace",
+    (
+        "pixsim/optics/lens.py",
+        "fields.size * x.size",
+        "(2 * (fields.size * x.size))",
+    ): "how many threads trace",
+    (
+        "pixsim/optics/lens.py",
+        "fields.size * x.size",
+        "fields.size / x.size",
+    ): "how many threads trace",
+    (
+        "pixsim/optics/lens.py",
+        "-cosine_x",
+        "(-(-cosine_x))",
+    ): "left and right of the field's plane are alike",
+    (
+        "pixsim/optics/ray_trace.py",
+        "_CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))",
+        "(2 * (_CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))))",
+    ): "what a last step of 2e-8 or 4e-8 leaves is its square",
+    (
+        "pixsim/optics/ray_trace.py",
+        "_CONVERGED * (1 + np.abs(x_at) + np.abs(y_at))",
+        "_CONVERGED / (1 + np.abs(x_at) + np.abs(y_at))",
+    ): "what a last step of 2e-8 or 4e-8 leaves is its square",
+    (
+        "pixsim/optics/ray_trace.py",
+        "1 + np.abs(x_at) + np.abs(y_at)",
+        "(2 * (1 + np.abs(x_at) + np.abs(y_at)))",
+    ): "what a last step of 2e-8 or 4e-8 leaves is its square",
+    (
+        "pixsim/optics/ray_trace.py",
+        "1 + np.abs(x_at)",
+        "(2 * (1 + np.abs(x_at)))",
+    ): "what a last step of 2e-8 or 4e-8 leaves is its square",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),
@@ -373,9 +443,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "math.hypot(camera.die_mm, camera.height_mm) / 2",
         "math.hypot(camera.die_mm, camera.height_mm) * 2",
     ): "the illumination of a die, which limits the height too, ends at its corner",
-    ("pixsim/optics/lens.py", "below / 2", "(2 * (below / 2))"): (
-        "the same root, found in more steps"
-    ),
     **{
         (
             "pixsim/optics/camera_lens.py",

@@ -35,6 +35,11 @@ FORMS: dict[str, str | bytes] = {
     "Latin-1": "Wellenlänge [nm];QE für 25 °C\n400;0,3\n500;0,4\n600;0,25".encode("latin-1"),
     "UTF-16 of a spreadsheet": PLAIN.replace(",", "\t").encode("utf-16"),
     "UTF-16 without a mark": PLAIN.encode("utf-16-le"),
+    "UTF-16 without a mark, with other letters": f"# {20 * 'Ω'}\n{PLAIN}".encode("utf-16-le"),
+    "a comment among the numbers": "x,y\nnm,QE\n400,0.3\n# nm,QE (%)\n500,0.4\n600,0.25\n",
+    "a comment that may be of other columns": (
+        "# wave length (nm) quantum efficiency (%)\n400 0.3\n500 0.4\n600 0.25\n"
+    ),
     "UTF-16, the other order": b"\xfe\xff" + PLAIN.encode("utf-16-be"),
     "rows of header": (
         "Monochromator 3\nMeasured,2024-05-01\nWavelength,Value\nnm,-\n" + PLAIN.partition("\n")[2]

@@ -112,6 +112,11 @@ GLASSES = [
             (7, 6, [1, 2, 3, 4, 5]),
         )
     ),
+    Claim(
+        "a glass is known at the ends of its range",
+        lambda: np.isfinite(catalogue()["SCHOTT:N-BK7"].index([300.0, 2500.0])),
+        [1, 1],
+    ),
     Claim("no shift", lambda: abbe(shifted(MELT, 0.0, 0.0)), abbe(MELT)),
 ]
 
@@ -947,6 +952,20 @@ STACKS_IN_CLOSED_FORM = [
     ),
     Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),
+    *(
+        Claim(
+            f"light lands on a giant pixel {pixels} away",
+            lambda pixels=pixels: collected_shares(
+                Stack(1e5, 0.7e5, pixels * 2e5, 1.5),
+                Directions(np.array([[1.5 / math.sqrt(5.0), 0.0]]), np.ones(1), AXIS),
+                [550.0],
+            )[0, 2, 2 + pixels],
+            1.0,
+            atol=2e-5,
+            why="1 - 2/(π² u) along both axes, u = 2e4",
+        )
+        for pixels in (1, 2)
+    ),
     Claim(
         "no light of a giant pixel is lost, 1 - 2/(π² u)",
         lambda: collected_shares(Stack(1e5, 0.7e5, 0.6e5, 1.5), disc_pupil(numerical_aperture(1.0)), [550.0])[0, 2, 2],

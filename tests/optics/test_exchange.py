@@ -255,6 +255,7 @@ NUMBERS: dict[str, tuple[Callable[[Path], Path], dict[str, object], str, object]
         for fwhm in (4.0, 9.95, 10.05, 25.0)
     },
     "unequal widths that adjoin": (lambda path: write_envi(path / "a.hdr", fwhm=[11.0, 9.0, 11.0]), FREE, "band_width_nm", [11, 9, 11]),
+    "light is uniform in a band": (npz(), {}, "within", [NM[:, None] + np.arange(-4.5, 5.0), np.full((3, 10), 0.1)]),
     "bands named by their edges": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, "wavelength_nm", 410.0 + 20 * np.arange(16)),
     "widths of these": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, "band_width_nm", np.full(16, 20.0)),
     "sorted names": (exr(NAMED, **OF_UNIT), FREE, "wavelength_nm", [380.5, 450.0, 600.0000000001, 700.0, 1000.0]),
@@ -448,7 +449,7 @@ LIGHT = [
     ("bands first", ".npz", lambda path: write_npz(path, data=np.ones((3, 8, 9))), {}, r"np\.moveaxis\(data, 0, 2\)"),
     ("bands in the middle", ".npz", lambda path: write_npz(path, data=np.ones((8, 3, 9))), {}, r"np\.moveaxis\(data, 1, 2\)"),
     ("huge npz", ".npz", huge_npz, {}, "more memory than is available"),
-    ("huge ENVI", ".hdr", lambda path: envi_text(path, "lines = 4|lines = 1000000000"), {}, "1000000000 × 5 × 3 values"),
+    ("huge ENVI", ".hdr", lambda path: envi_text(path, "lines = 4|lines = 1000000000"), {}, "60000000000 bytes, for 1000000000 × 5 × 3 values"),
     ("empty ENVI", ".hdr", lambda path: envi_text(path, "lines = 4|lines = 0"), {}, "0 × 5 × 3 values"),
     ("a PNG", ".png", lambda path: path, {}, "a name that ends in"),
     *((f"no {suffix}", suffix, lambda path: path, {}, "does not exist") for suffix in (".npz", ".hdr", ".exr")),

@@ -15,7 +15,7 @@ from helpers.claims import Claim, check
 from pixsim import PixsimError, load_lens, optics
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
-from pixsim.optics.lens import Lens, _root, lens_from_prescription
+from pixsim.optics.lens import Lens, _monomial_slopes, _monomials, _root, lens_from_prescription
 from pixsim.optics.prescription import Prescription, Surface, Vignetting
 
 DATA = Path(__file__).parents[1] / "data" / "lenses"
@@ -170,6 +170,15 @@ CLAIMS = [
             ("above", lambda x: x**3 - 0.5, 0.5 ** (1 / 3)),
             ("below", lambda x: 0.5 - (2 - x) ** 3, 2 - 0.5 ** (1 / 3)),
         )
+    ),
+    Claim(
+        "slopes of monomials, by a complex step",
+        lambda: [part for slopes in _monomial_slopes(*np.array([[0.3], [-0.4]])) for part in np.hstack(slopes)],
+        [
+            np.hstack(_monomials(*(np.array([[0.3], [-0.4]]) + 1e-30j * np.array(step)))).imag[0] * 1e30
+            for step in ([[1], [0]], [[0], [1]])
+        ],
+        rtol=1e-13,
     ),
     Claim(
         "a focus 0.2 mm within a lens: an image may lie 1 % of the focal length in front of its end",
