@@ -255,7 +255,7 @@ NUMBERS: dict[str, tuple[Callable[[Path], Path], dict[str, object], str, object]
         for fwhm in (4.0, 9.95, 10.05, 25.0)
     },
     "unequal widths that adjoin": (lambda path: write_envi(path / "a.hdr", fwhm=[11.0, 9.0, 11.0]), FREE, "band_width_nm", [11, 9, 11]),
-    "light is uniform in a band": (npz(), {}, "within", [NM[:, None] + np.arange(-4.5, 5.0), np.full((3, 10), 0.1)]),
+    "light is uniform in a band": (npz(), {}, "within", [np.array(NM)[:, None] + np.arange(-4.5, 5.0), np.full((3, 10), 0.1)]),
     "bands named by their edges": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, "wavelength_nm", 410.0 + 20 * np.arange(16)),
     "widths of these": (lambda _: CASES / "17-exr-mitsuba06-names/names.exr", {"camera": CAMERA}, "band_width_nm", np.full(16, 20.0)),
     "sorted names": (exr(NAMED, **OF_UNIT), FREE, "wavelength_nm", [380.5, 450.0, 600.0000000001, 700.0, 1000.0]),
