@@ -990,6 +990,43 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ),
     ("pixsim/viewer/tone.py", "2", "(2) + 1"): "the first row of a product is used alone",
     **{
+        ("pixsim/viewer/denoising/filters.py", f"1 - {shift}", f"(2 * (1 - {shift}))"): (
+            "a slice ends with the plane"
+        )
+        for shift in ("down", "across")
+    },
+    (
+        "pixsim/viewer/delta_e_statistics.py",
+        "values.size - 1",
+        "(2 * (values.size - 1))",
+    ): "only in a picture of one dot is the next rank beyond the last",
+    **{
+        ("pixsim/viewer/denoising/anscombe.py", before, after or f"(2 * ({before}))"): reason
+        for before, after, reason in (
+            ("flat_e + gaussian_variance_e2", "", "from 125 e- on the series errs by 7e-9"),
+            ("largest + _TAIL * math.sqrt(largest) + _TAIL**2 / 2", "", "more terms, of 0"),
+            ("largest + _TAIL * math.sqrt(largest)", "", "more terms, of 0"),
+            ("_TAIL * math.sqrt(largest)", "", "more terms, of 0"),
+            ("_TAIL**2 / 2", "", "more terms, of 0"),
+            ("_TAIL**2 / 2", "_TAIL**2 * 2", "more terms, of 0"),
+            ("last + 1.0", "", "more terms, of 0"),
+            ("9", "(9) + 1", "a cumulant that no moment takes"),
+            ("_TAIL * sigma", "", "400 steps over twice the range are right to 1e-12, too"),
+            ("_GAUSSIAN_STEPS + 1.0", "_GAUSSIAN_STEPS - 1.0", "the last step has 1e-17"),
+            ("2 * math.sqrt(_SERIES_FROM_E) / _TABLE_STEP", "", "a finer table, equal to 1e-8 e-"),
+            ("1", "(1) + 1", "a step of 1 % less of the table, equal to 2e-8 e-"),
+            ("-1", "(-(-1))", "knots that begin again at the dark have the same corrections"),
+        )
+    },
+    ("pixsim/viewer/adaptation.py", "matrix * white", "(2 * (matrix * white))"): (
+        "responses to two whites are relative to each other"
+    ),
+    (
+        "pixsim/viewer/delta_e_statistics.py",
+        "float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS",
+        "(2 * (float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS))",
+    ): "the bins of pictures without a difference",
+    **{
         ("pixsim/viewer/metric_kernels/linear_observer.py", before, f"(2 * ({before}))"): reason
         for before, reason in (
             ("gradient / diagonal", "the length of a direction is found along it"),

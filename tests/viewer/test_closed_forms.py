@@ -10,7 +10,7 @@ from helpers.chains import imaging
 from helpers.claims import Claim
 from helpers.closed_forms import blurred_grating_lab, grating
 from scipy.integrate import dblquad, quad
-from scipy.special import erf, gamma
+from scipy.special import erf, gamma, ndtr
 
 from pixsim import Camera, Develop, Display, Pixel, SpectralImage, metrics, optics
 from pixsim.light.spectral import d65
@@ -33,6 +33,7 @@ from pixsim.viewer import (
 from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.delta_e_statistics import delta_e_statistics
 from pixsim.viewer.denoising import anscombe, wiener
+from pixsim.viewer.denoising.variance_table import VarianceTable
 from pixsim.viewer.metric_kernels.information_density import radial_spectrum
 from pixsim.viewer.scene_light import LightFacts
 from pixsim.viewer.without_effect import _pictures
@@ -60,6 +61,7 @@ DARK = Readout.of(
     )
 )
 CLIP = dark_clip(DARK, 0.03, 1e4)
+LOGARITHM = VarianceTable(np.linspace(-5, 150, 40001), (1 + np.linspace(-5, 150, 40001) / 10) ** 2)
 GREY_CURVE = np.linspace(0.0, 2.0, 2001)
 PITCH_MM = 0.005
 NYQUIST = 0.5 / PITCH_MM
@@ -316,8 +318,8 @@ COLOURS = [
     ),
     Claim(
         "no adaptation keeps chromaticities",
-        lambda: adaptation.adaptation_matrix(LAMP_A / 100, D65, "none"),
-        100 * np.eye(3),
+        lambda: adaptation.adaptation_matrix(LAMP_A / 50, D65, "none"),
+        50 * np.eye(3),
         rtol=1e-15,
     ),
     Claim(
@@ -424,6 +426,23 @@ COLOURS = [
         lambda: delta_e_statistics(np.arange(101.0).reshape(1, -1)),
         [50, 50, 90, 99, 100],
         rtol=1e-14,
+    ),
+    *(
+        Claim(
+            f"statistics of ΔE of {name}",
+            lambda delta_e=delta_e: delta_e_statistics(delta_e),
+            [delta_e.mean(), *np.percentile(delta_e, (50, 90, 99)), delta_e.max()],
+            rtol=1e-6,
+            why="float32",
+        )
+        for name, delta_e in {
+            "random numbers, between whose ranks percentiles lie": np.random.default_rng(
+                9
+            ).exponential(size=(7, 11)),
+            "one dot": np.full((1, 1), 3.0),
+            "equal pictures": np.zeros((4, 4)),
+            "equal pictures in float32": np.zeros((4, 4), np.float32),
+        }.items()
     ),
 ]
 DEVELOPMENT = [
@@ -573,6 +592,23 @@ DEVELOPMENT = [
         atol=1e-14,
     ),
     Claim(
+        "noise of 1 + z/10 becomes that of 10 ln(1 + z/10) of variance 1, which is inverted",
+        lambda: LOGARITHM.inverse(
+            quad(lambda z: 10 * math.log(2 + z / 5) * math.exp(-(((z - 50) / 6) ** 2) / 2), 2, 98)[0]
+            / (6 * math.sqrt(2 * math.pi))
+        ),
+        50.0,
+        rtol=1e-7,
+        why="nodes and steps of the table",
+    ),
+    Claim(
+        "values of noise of 1 + z/10 from -5 on",
+        lambda: LOGARITHM.forward(np.array([-5.0, 0.0, 50.0])),
+        10 * np.log([1.0, 2.0, 12.0]),
+        atol=1e-6,
+        why="steps of the table",
+    ),
+    Claim(
         "Wiener's filter",
         lambda: wiener.response(np.array([[3.0, 0.0]]), np.array([[1.0, 0.0]])),
         [[0.75, 1]],
@@ -715,6 +751,20 @@ JUDGES = [
         ],
         np.array([25, 25, 6.25]) * math.pi / 0.18,
         rtol=1e-12,
+    ),
+    Claim(
+        "pixels of 100 and 110 e- with a contrast of 5 to 15 %, by the noise of either",
+        lambda: metrics.contrast_detection_probability(
+            [100.0, 100.0], 0.1, [5.0, 0.0], [0.0, 5.0]
+        ),
+        [ndtr(5 / 5.75) - ndtr(-5 / 5.25), erf(1 / math.sqrt(2))],
+        rtol=1e-12,
+    ),
+    Claim(
+        "2 of 12 pairs with a contrast of 5 to 15 %, none of which has a darker pixel without light",
+        lambda: metrics.contrast_detection_share([100, 0, -5], [[104, 106], [112, 116]], 0.1),
+        1 / 6,
+        rtol=1e-14,
     ),
     Claim(
         "acutance without blur: share of the CSF below Nyquist",

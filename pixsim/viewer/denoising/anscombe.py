@@ -180,4 +180,4 @@ def _inverse_table(variance_e2: float) -> tuple[Array, Array, float]:
     mean_e[0] = 0.0
     knots, _ = moments(mean_e, variance_e2)
     corrections = mean_e - ((knots / 2) ** 2 - _OFFSET_E - variance_e2)
-    return knots, corrections, float((mean_e[1] - mean_e[0]) / (knots[1] - knots[0]))
+    return knots, corrections, float(mean_e[1] / (knots[1] - knots[0]))
