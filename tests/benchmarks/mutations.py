@@ -571,6 +571,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "(2 * (has_channel * np.multiply.outer(_tent(rows), _tent(columns))))",
     ): "weights are relative to their sum",
     (
+        "pixsim/viewer/dark_clip.py",
+        "ordinary_e * dark.hot_median * np.exp(dark.hot_spread * ndtri(quantiles))",
+        "ordinary_e * dark.hot_median / np.exp(dark.hot_spread * ndtri(quantiles))",
+    ): "the logarithms of hot pixels lie symmetrically about their median",
+    (
         "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",
         "(2 * (size + range_px + period * last + 1))",

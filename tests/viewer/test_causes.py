@@ -333,6 +333,14 @@ CLAIMS = [
         for share in (0.99, 1.01)
     ),
     Claim(
+        "a frame has no information where all but a millionth of its pixels are full",
+        lambda: [
+            int(is_uninformative(FLAT, 1e4, 0.01, 100.0, share))
+            for share in (1 - 1e-5, 1 - 1e-7, 1.0)
+        ],
+        [0, 1, 1],
+    ),
+    Claim(
         "the largest cause comes first",
         lambda: np.diff(
             np.argsort(-np.array(delta_e_of(FLAT, 1.0, (50.0, 50.0), header=lamp(400, 900))))

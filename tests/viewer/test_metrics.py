@@ -191,6 +191,7 @@ def exposure_of(fields: dict) -> _ClippedExposure:
 
 
 STATED = PIXEL.model_dump(exclude_unset=True)
+OPENING = {"height_um": 6.0, "index": 1.5, "microlens": "none", "shift": "none"}
 SPARSE = STATED | {"pitch_um": 100.0, "fill_factor": 0.01}
 SHORTER = {"kind": "staggered", "ratio": 4.0, "count": 3}
 LINED = {
@@ -528,14 +529,7 @@ CLAIMS = [
                 pixel=Pixel(
                     **STATED
                     | {"fill_factor": 0.5, "bits": 16, "read_noise_e": 0, "full_well_e": 1e9}
-                    | {
-                        "stack": {
-                            "height_um": 6.0,
-                            "index": 1.5,
-                            "microlens": "none",
-                            "shift": "none",
-                        }
-                    }
+                    | {"stack": OPENING}
                 ),
                 camera=CAMERA.model_copy(update={"focal_length_mm": 0.5}),
                 display=DISPLAY.model_copy(update={"white_cd_per_m2": 1e4 * WHITE_CD_PER_M2}),
@@ -1047,6 +1041,14 @@ NOISY: dict[str, tuple[dict, dict, dict]] = {
         {},
         {"correction": Correction(dark_frames=2, flat_frames=2, column_clamp=4)},
     ),
+    "shaded": (
+        {"stack": OPENING, "fill_factor": 0.5},
+        {},
+        {
+            "camera": CAMERA.model_copy(update={"focal_length_mm": 0.5}),
+            "correction": Correction(flat_frames=4),
+        },
+    ),
     "code 0": (
         {"black_level_dn": 0, "read_noise_e": 150.0},
         {},
@@ -1067,7 +1069,7 @@ def test_npwe_has_the_noise_of_frames(case: str) -> None:
     fields, of_display, settings = NOISY[case]
     count, share = (100, 0.022) if "row_noise_e" in fields else (40, 0.0125)
     display = DISPLAY.model_copy(update={"dots": 32} | of_display)
-    pixel = PIXEL.model_copy(update=fields)
+    pixel = Pixel(**STATED | fields)
     metrics = request("npwe", **ONE_REGISTRATION)
     chain = chain_of(with_disc(0.2, 25.0), pixel, UNIFORM, metrics, display=display, **settings)
     frames = [chain.capture("many", number) for number in range(count)]
@@ -1084,8 +1086,10 @@ def test_npwe_has_the_noise_of_frames(case: str) -> None:
 
 def test_information_of_a_flat_spectrum() -> None:
     """½∬ log₂(1 + S|T|²/(N + A)); 5e-3 for a mean over points in place of Simpson's rule."""
-    flat = {"corner_cy_per_mm": 3e4, "contrast": 10.0}  # with as much power in aliases as noise
-    chain = chain_of(metrics=request("information", information=flat))
+    # With as much power in aliases as noise has.
+    chain = chain_of(
+        metrics=request("information", information={"corner_cy_per_mm": 3e4, "contrast": 10.0})
+    )
     frame = chain.expected(TIME_S)
     mean_e = TIME_S * float(chain.signal_e_per_s.mean())
     noise = (mean_e + fixed_e2(chain)) * 0.004**2

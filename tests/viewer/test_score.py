@@ -177,7 +177,7 @@ def test_pictures_are_rounded_and_clipped_to_the_display() -> None:
     np.testing.assert_allclose(score_pictures(*pair, display).delta_e, score.delta_e, atol=1e-9)
 
 
-@pytest.mark.parametrize(("share", "is_refused"), [(0.999, False), (1.001, True)])
+@pytest.mark.parametrize(("share", "is_refused"), [(0.999, False), (1.0, False), (1.001, True)])
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("lines_s", [0.0, 0.02])
 def test_motion_takes_the_margin_on_both_sides(
