@@ -575,6 +575,19 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "ordinary_e * dark.hot_median * np.exp(dark.hot_spread * ndtri(quantiles))",
         "ordinary_e * dark.hot_median / np.exp(dark.hot_spread * ndtri(quantiles))",
     ): "the logarithms of hot pixels lie symmetrically about their median",
+    ("pixsim/viewer/demosaic.py", "mosaic - green", "(2 * (mosaic - green))"): (
+        "changes along both axes are compared with one another"
+    ),
+    (
+        "pixsim/viewer/demosaic.py",
+        "(size + range_px) // period + 1",
+        "(2 * ((size + range_px) // period + 1))",
+    ): "lags at which pixels have no dot together",
+    (
+        "pixsim/viewer/demosaic.py",
+        "int(np.ceil(dot_px)) + 2 * _SPLINE_RANGE_PX",
+        "(2 * (int(np.ceil(dot_px)) + 2 * _SPLINE_RANGE_PX))",
+    ): "products of pixels farther apart than a dot reaches",
     (
         "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",

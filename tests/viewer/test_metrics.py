@@ -542,6 +542,25 @@ CLAIMS = [
         for correction in (None, Correction(flat_frames=10))
     ),
     Claim(
+        "flat frames leave no shading in expected light",
+        lambda: [
+            np.ptp(_expected_light(chain.capture("a"), chain.expected(TIME_S))[0])
+            for chain in [
+                chain_of(
+                    UNIFORM,
+                    Pixel(**STATED | {"stack": OPENING, "fill_factor": 0.5}),
+                    UNIFORM,
+                    request("npwe"),
+                    camera=CAMERA.model_copy(update={"focal_length_mm": 0.5}),
+                    correction=Correction(flat_frames=1),
+                )
+            ]
+        ],
+        [0.0],
+        atol=1e-6,
+        why="float32 of the light",
+    ),
+    Claim(
         "contrasts of uniform light have the noise of pixels and lines",
         lambda: (
             evaluated(

@@ -50,6 +50,8 @@ from pixsim.viewer.without_effect import (
     Default,
     UserSettings,
     _changes_frame,
+    _changes_metrics,
+    _changes_picture,
     effect_notes,
     record_with,
 )
@@ -460,23 +462,42 @@ def test_value_that_holds_anyway_is_not_named(pixel: dict, display: dict, names:
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
-def test_a_thousandth_of_the_scatter_is_resolved(share: float) -> None:
-    """An offset pattern adds its square to the variance of each pixel, a well its end, and light its
-    mean.
+def test_a_thousandth_of_the_scatter_or_of_a_code_is_resolved(share: float) -> None:
+    """An offset pattern adds its square to the variance of each pixel, a well its end, light its
+    mean, and sharpening a part of itself to the light of the display. A thousandth of the last of
+    four digits of a metric is.
     """
-    settings = settings_of(Run(pixel=Pixel(**FAINT), exposure=Exposure(integration_s=0.01)))
+    settings = settings_of(
+        Run(
+            pixel=Pixel(**FAINT),
+            exposure=Exposure(integration_s=0.01),
+            metrics=["delta_e", "snr10_lx"],
+            metric=MetricOptions(snr10_lx={"reflectance": 0.18}),
+        )
+    )
     scatter_e = np.sqrt(settings.base.variance_e2(settings.base.frame.mean_e))
+    light, sharpened = (
+        trial.chain.development.light(settings.base.frame)
+        for trial in (settings.base, settings.trial_with("develop.sharpen_amount", 1.0))
+    )
     assert [
-        _changes_frame(settings.base, settings.trial_with(f"pixel.{name}", value))
-        for name, value in (
-            ("dsnu_e", share * 1e-3 * scatter_e.min()),
-            ("full_well_e", 8000 + share * 1e-3 * scatter_e.min()),
+        changes(settings.base, settings.trial_with(name, value))
+        for changes, name, value in (
+            (_changes_frame, "pixel.dsnu_e", share * 1e-3 * scatter_e.min()),
+            (_changes_frame, "pixel.full_well_e", 8000 + share * 1e-3 * scatter_e.min()),
             (
-                "quantum_efficiency",
+                _changes_frame,
+                "pixel.quantum_efficiency",
                 0.6 * (1 + share * 1e-3 * (scatter_e / settings.base.mean_e).min()),
             ),
+            (
+                _changes_picture,
+                "develop.sharpen_amount",
+                share * 1e-3 / 256 / np.abs(sharpened - light).max(),
+            ),
+            (_changes_metrics, "metric.snr10_lx.reflectance", 0.18 * (1 + share * 1e-6)),
         )
-    ] == [share > 1] * 3
+    ] == [share > 1] * 5
 
 
 GOLDEN_S = 0.05 * (math.sqrt(5) - 1)  # part of the longest time
@@ -502,15 +523,19 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     1 %, for the blur of the brightest part.
     """
     height = {"die_height_mm": Camera().die_mm / 2}
-    run = Run(
-        pixel=Pixel(**FAINT | pixel), exposure=Exposure(**exposure), camera=CameraOptions(**height)
-    )
-    base = settings_of(run).base
+    base = settings_of(
+        Run(
+            pixel=Pixel(**FAINT | pixel),
+            exposure=Exposure(**exposure),
+            camera=CameraOptions(**height),
+        )
+    ).base
     camera = base.imaging.camera
     assert base.frame.estimate_e.shape == (10, 20)
     assert base.small.light.wavelength_nm.tolist() == [*range(410, 811, 40)]
-    fill = base.mean_e.max() / base.readout.saturation_e
-    assert (base.frame.integration_s, fill) == pytest.approx((time_s, share), rel=0.01)
+    assert [base.frame.integration_s, base.mean_e.max()] == pytest.approx(
+        [time_s, share * base.readout.saturation_e], rel=0.01
+    )
     field = camera.fov_deg, *camera.die_um
     assert field == pytest.approx((Camera(**height).fov_deg, 50.0, 100.0), rel=1e-9)
     assert base.prepared.screen.ideal.max() == pytest.approx(1 / 1.1, abs=0.002)
