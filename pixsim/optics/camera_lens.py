@@ -100,6 +100,8 @@ _KEY_DIGITS = 9  # of numbers on which a tiling depends
 # Of the rms of a blurred picture about its mean.
 _USUAL_TOLERANCE = 0.01
 
+_ORTHOGONAL_PASSES = 2  # of Lanczos's steps, so that rounding does not add up
+
 # In light of several spectra: groups of neighbouring bands that have one blur.
 GROUPS = 6
 GROUP_WAVELENGTHS = 2
@@ -656,7 +658,7 @@ def few_wavelengths(wavelength_nm: Array, weight: Array, count: int) -> tuple[Ar
     matrix = np.zeros((count, count))
     for row in range(count):
         step = position * basis[-1]
-        for _ in range(2):  # twice, so that rounding does not add up
+        for _ in range(_ORTHOGONAL_PASSES):
             for vector in basis:
                 step = step - (vector @ step) * vector
         matrix[row, row] = basis[-1] @ (position * basis[-1])

@@ -176,7 +176,7 @@ class FittedWavefronts:
         wavelength_um = self.wavelength_nm * UM_PER_NM
         sagittal_um = wavelength_um * (slopes_u @ coefficients) / half_width_u
         radial_um = wavelength_um * (slopes_v @ coefficients) / half_width_v
-        return np.stack([sagittal_um, radial_um], axis=-1) + np.array([0.0, lateral_colour_um])
+        return np.stack([sagittal_um, radial_um], axis=1) + np.array([0.0, lateral_colour_um])
 
 
 def powers() -> NDArray[np.intp]:
@@ -373,9 +373,10 @@ def _antialias_edge(
     """
     u, v = directions
     radius = np.sqrt(u * u + v * v)
-    position = np.arctan2(np.abs(u), v) * np.float32((OUTLINE_ANGLES - 1) / np.pi)
+    angles_per_radian = (OUTLINE_ANGLES - 1) / np.pi
+    position = np.arctan2(np.abs(u), v) * np.float32(angles_per_radian)
     below = np.minimum(position.astype(np.int32), OUTLINE_ANGLES - 2)
-    slopes = np.diff(outline, append=outline[-1:])
+    slopes = np.diff(outline)
     inside = outline[below] + (position - below) * slopes[below] - radius
     share = (inside > 0).astype(np.float32)
 
@@ -385,7 +386,7 @@ def _antialias_edge(
     cut = np.nonzero((np.abs(inside) < edge_width) & (radius > edge_width))
     unit_u = u[cut] / radius[cut]
     unit_v = v[cut] / radius[cut]
-    turning = slopes[below[cut]] * ((OUTLINE_ANGLES - 1) / np.pi) / (inside[cut] + radius[cut])
+    turning = slopes[below[cut]] * angles_per_radian / (inside[cut] + radius[cut])
     gradient_u = (turning * unit_v * np.sign(unit_u) - unit_u) / half[0]
     gradient_v = (-turning * np.abs(unit_u) - unit_v) / half[1]
     sagittal, radial = axes

@@ -695,14 +695,42 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/lens.py", "_MAX_AIM_STEPS", "(_MAX_AIM_STEPS) + 1"): (
         "one more step of a ray's aim, which has converged long before or does not"
     ),
+    ("pixsim/optics/camera_lens.py", "_ORTHOGONAL_PASSES", "(_ORTHOGONAL_PASSES) + 1"): (
+        "vectors that are orthogonal to rounding already"
+    ),
+    ("pixsim/optics/field_blur.py", "distance + shift", "distance - shift"): (
+        "the four corners in reversed order, two and two with one sign"
+    ),
+    **{
+        ("pixsim/optics/field_blur.py", f"{rise} * {sign}", f"{rise} / {sign}"): (
+            "a sign is 1 or -1"
+        )
+        for rise, sign in (
+            ("rise_x[cut]", "np.sign(gradient_x)"),
+            ("rise_y[cut]", "np.sign(gradient_y)"),
+        )
+    },
+    **{
+        ("pixsim/optics/field_blur.py", before, f"(2 * ({before}))"): (
+            "a wider grid, dark at its sides"
+        )
+        for before in (
+            "np.hypot(half[1] * radial, half[0] * sagittal) * max(1.0, outline.max())",
+            "half[1] * radial",
+            "half[0] * sagittal",
+            "extent / step + 1",
+            "extent / step",
+        )
+    },
     ("pixsim/optics/field_blur.py", "down + y", "down - y"): (
         "tiles above and below the axis have one tail: a lens is round"
     ),
-    (
-        "pixsim/optics/field_blur.py",
-        "1.5 * step / half.min()",
-        "(2 * (1.5 * step / half.min()))",
-    ): "shares of samples farther from the edge are 0 or 1 both ways",
+    **{
+        ("pixsim/optics/field_blur.py", before, f"(2 * ({before}))"): (
+            "shares of samples farther from the edge are 0 or 1 both ways"
+        )
+        for before in ("1.5 * step", "1.5 * step / half.min()")
+    },
     **{
         ("pixsim/optics/field_blur.py", "1 - _MIRRORED_PLACES", after): (
             "how many spectra are cached"
@@ -828,11 +856,20 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/optics/camera_lens.py", "-2j", "(-(-2j))"): (
         "a mirrored PSF has the same errors as the PSF"
     ),
+    **{
+        ("pixsim/optics/field_blur.py", before, f"(2 * ({before}))"): (
+            "a combination of other terms leaves less than half of it, any other term far more"
+        )
+        for before in (
+            "np.finfo(float).eps * columns.shape[1]",
+            "np.finfo(float).eps * columns.shape[1] * sizes[row]",
+        )
+    },
     (
-        "pixsim/optics/field_blur.py",
-        "np.finfo(float).eps * columns.shape[1]",
-        "(2 * (np.finfo(float).eps * columns.shape[1]))",
-    ): "a combination of other terms leaves less than half of it, any other term far more",
+        "pixsim/optics/camera_lens.py",
+        "source_frequency / (source_frequency + images)",
+        "(2 * (source_frequency / (source_frequency + images)))",
+    ): "weights are relative to their sum",
     (
         "pixsim/optics/field_blur.py",
         "math.ceil(band_corner) + _SPLINE_COEFFICIENTS // 2",
