@@ -971,6 +971,37 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "reading.limit_e / reading.response",
         "(2 * (reading.limit_e / reading.response))",
     ): "the order of numbers is that of twice these",
+    **{
+        ("pixsim/sensor/collection.py", before, after): "how many spokes a quadrature has"
+        for before, after in (
+            ("-spokes", "(-(-spokes))"),
+            ("spokes + -spokes % 4", "spokes - -spokes % 4"),
+            ("spokes + -spokes % 4", "(2 * (spokes + -spokes % 4))"),
+        )
+    },
+    (
+        "pixsim/sensor/photodiode.py",
+        "first - first_line",
+        "(2 * (first - first_line))",
+    ): "a table with more entries, right to 1e-6 of the well as well",
+    **{
+        (
+            "pixsim/sensor/readout.py",
+            before,
+            f"(2 * ({before}))",
+        ): "more pixels of a burst are drawn one exposure at a time, by the same law"
+        for before in (
+            "_CLIP_SIGMAS * np.sqrt(brightest_e)",
+            "_CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2)",
+            "_CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + POISSON_MARGIN_E",
+            "charge_e + pixel_sigma_e**2",
+        )
+    },
+    (
+        "pixsim/sensor/integration.py",
+        "electrons * irradiance.factors[0]",
+        "(2 * (electrons * irradiance.factors[0]))",
+    ): "its sign alone counts",
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),

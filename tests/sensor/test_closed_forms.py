@@ -13,12 +13,12 @@ from scipy.stats import logistic, norm
 
 from pixsim import Camera, Correction, Exposure, Pixel
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
-from pixsim.sensor.camera_data import _TYPICAL_NM, _TypicalFilters, camera_sensitivities
+from pixsim.sensor.camera_data import _TYPICAL_NM, _TypicalFilters, camera_sensitivities, cameras
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.colour import Layout, channel_map
 from pixsim.sensor.correction import _rounding_e, outliers, residual_variance_e2, without_defects
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf
-from pixsim.sensor.dynamic_range import makers_range_db, readout_snr_db
+from pixsim.sensor.dynamic_range import levels_of_light_e, makers_range_db, readout_snr_db
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.integration import diffusion_of, first_edge_um, pixel_count, pixels_on
 from pixsim.sensor.mismatch import (
@@ -63,7 +63,7 @@ from pixsim.sensor.pixel import (
     silicon_curve,
     smallest_pitch_um,
 )
-from pixsim.sensor.reading import Adc, Readout, dark_spread_e, least_black_level_dn
+from pixsim.sensor.reading import Adc, Readout, dark_spread_e, least_black_level_dn, with_merge
 from pixsim.sensor.readout import (
     _draw_summed_codes,
     frame_mean_dn,
@@ -184,6 +184,11 @@ def diffusing(kelvin: float) -> float:
 
 
 SILICON = [
+    Claim(
+        "ranges of measured cameras and of typical filters, nm",
+        lambda: sorted({entry.range_nm for entry in cameras()}),
+        [(360.0, 1000.0), (380.0, 780.0)],
+    ),
     Claim(
         "filters with logistic edges and a leak on 3 µm of silicon below 0.1 µm that is dead",
         lambda: _TypicalFilters(
@@ -1436,6 +1441,13 @@ READING = [
         8 * (11.5 / 25 + 1 / 12),
         rtol=0.014,
         why="5 standard errors of 250 000 values",
+    ),
+    Claim(
+        "levels of light from the darkest to the largest, in equal ratios",
+        lambda: levels_of_light_e(with_merge(readout()), TIME_S, 2.0, 8e3)[0][[0, 150, -1]],
+        [2.0, math.sqrt(2.0 * 8e3), 8e3],
+        rtol=2e-9,
+        why="just below the largest",
     ),
     Claim(
         "variance by source",

@@ -747,6 +747,8 @@ def test_a_burst_is_the_sum_of_its_merged_subexposures() -> None:
     estimate_e = frame.estimate_e
     assert abs(estimate_e.mean() - 16_000) < 4 * math.sqrt(16_000 / estimate_e.size)
     assert estimate_e.var() == pytest.approx(frame.estimate_variance_e2.mean(), rel=0.02)
+    level_e2 = level_variance_e2(frame.readout, estimate_e.ravel(), TIME_S)
+    np.testing.assert_allclose(frame.estimate_variance_e2.ravel(), level_e2, rtol=1e-12)
 
 
 def test_merged_frames_have_no_codes_of_their_own() -> None:

@@ -454,6 +454,24 @@ BANDS = [
         for cut_nm, below in ((651, 1.0), (649, 0.0))
     ),
     Claim(
+        "a picture has a blur of its own where its spectrum meets a response",
+        lambda: [
+            weight
+            for _, weight, _ in integration._blurred_lights(
+                SpectralImage(
+                    [500.0, 600.0],
+                    10.0,
+                    1.0,
+                    factors=([[0.0, 2.0], [3.0, 0.0]], np.ones((2, 4, 4))),
+                ),
+                np.array([0.0, 5.0]),
+                np.ones(2),
+                integration.Tiling(400.0, 0.0, 0.0),
+            )
+        ],
+        [[0.0, 10.0]],
+    ),
+    Claim(
         "samples are summed in float64",
         lambda: integration.ideal_rate(SAMPLES, derive(Pixel(pitch_um=20.0))),
         [[math.fsum(WEIGHT * sample) for sample in row] for row in SAMPLES.data.astype(float)],

@@ -409,6 +409,16 @@ REFUSALS: dict[str, tuple[Callable[[], object], str]] = {
         ),
         "mean_e: .*1e.38",
     ),
+    "more dark electrons than single precision holds": (
+        lambda: make_frame(
+            np.zeros((2, 3), np.int32),
+            0.0,
+            np.zeros((2, 3), np.float32),
+            DEVICE.with_physics(dark_current_e_per_s=1e30),
+            Exposure(integration_s=1e9),
+        ),
+        "mean_e: got 0 e-/s for 1e.09 s",
+    ),
     "a well below an electron": (
         lambda: replace(derive(Pixel()), full_well_e=1e-320),
         "full_well_e: got 1e-320",
