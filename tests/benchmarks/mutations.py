@@ -168,6 +168,14 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ),
     (
         "pixsim/viewer/raw_metrics.py",
+        "_MIN_DEVIATION / readout.dn_per_e",
+        "_MIN_DEVIATION * readout.dn_per_e",
+    ): "any small number in place of a deviation of 0",
+    ("pixsim/viewer/raw_metrics.py", "half + 1", "half - 1"): (
+        "a table with two signals fewer of 1025"
+    ),
+    (
+        "pixsim/viewer/raw_metrics.py",
         "spread_e[0] * steps",
         "(2 * (spread_e[0] * steps))",
     ): "before the first signal of a table the mean of codes is straight",

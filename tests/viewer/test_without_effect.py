@@ -522,12 +522,15 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     lamps, or the time in which dark charge takes half. White is 1.1 times the brightest dot. Within
     1 %, for the blur of the brightest part.
     """
-    height = {"die_height_mm": Camera().die_mm / 2}
+    stated = {
+        "die_height_mm": Camera().die_mm / 2,
+        "chief_ray_angle": [[0.0, 0.0], [Camera().die_mm, 15.0]],
+    }
     base = settings_of(
         Run(
             pixel=Pixel(**FAINT | pixel),
             exposure=Exposure(**exposure),
-            camera=CameraOptions(**height),
+            camera=CameraOptions(**stated),
         )
     ).base
     camera = base.imaging.camera
@@ -536,8 +539,8 @@ def test_small_light_fills_no_pixel_and_shows_the_whole_field(
     assert [base.frame.integration_s, base.mean_e.max()] == pytest.approx(
         [time_s, share * base.readout.saturation_e], rel=0.01
     )
-    field = camera.fov_deg, *camera.die_um
-    assert field == pytest.approx((Camera(**height).fov_deg, 50.0, 100.0), rel=1e-9)
+    field = camera.fov_deg, *camera.die_um, *camera.chief_ray_angle[1]
+    assert field == pytest.approx((Camera(**stated).fov_deg, 50.0, 100.0, 0.1, 15.0), rel=1e-9)
     assert base.prepared.screen.ideal.max() == pytest.approx(1 / 1.1, abs=0.002)
 
 
