@@ -598,6 +598,41 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ): "products of pixels farther apart than a dot reaches",
     (
         "pixsim/viewer/demosaic.py",
+        "size + range_px + period * last",
+        "(2 * (size + range_px + period * last))",
+    ): "products of pixels farther apart than any two of a dot",
+    (
+        "pixsim/viewer/demosaic.py",
+        "period * last",
+        "(2 * (period * last))",
+    ): "products of pixels farther apart than any two of a dot",
+    (
+        "pixsim/viewer/demosaic.py",
+        "range_px + 1",
+        "(2 * (range_px + 1))",
+    ): "products of pixels farther apart than a dot reaches",
+    (
+        "pixsim/viewer/demosaic.py",
+        "2 * (margin_px + count) + int(np.ceil(dot_px)) + 1",
+        "(2 * (2 * (margin_px + count) + int(np.ceil(dot_px)) + 1))",
+    ): "more pixels behind a dot",
+    (
+        "pixsim/viewer/demosaic.py",
+        "2 * (margin_px + count) + int(np.ceil(dot_px))",
+        "(2 * (2 * (margin_px + count) + int(np.ceil(dot_px))))",
+    ): "more pixels behind a dot",
+    (
+        "pixsim/viewer/demosaic.py",
+        "2 * (margin_px + count)",
+        "(2 * (2 * (margin_px + count)))",
+    ): "more pixels behind a dot",
+    (
+        "pixsim/viewer/demosaic.py",
+        "low + high + node * (high - low)",
+        "low + high - node * (high - low)",
+    ): "nodes lie symmetrically between two positions",
+    (
+        "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",
         "(2 * (size + range_px + period * last + 1))",
     ): "products of pixels farther apart than any two of a dot",
@@ -606,11 +641,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "_GAUSSIAN_STEPS + 1.0",
         "(2 * (_GAUSSIAN_STEPS + 1.0))",
     ): "beyond the last step the normal law has 1e-17 of the whole",
-    (
-        "pixsim/viewer/raw_metrics.py",
-        "full_e - start_e",
-        "full_e + start_e",
-    ): "a wider table, whose means are off by 1e-4 of the noise instead of 7e-6",
     (
         "pixsim/sensor/collection.py",
         "stated - transmitted",
