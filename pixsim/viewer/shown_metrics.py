@@ -232,7 +232,7 @@ def _raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
         column_e2 = column_e2 * offset_factor
         row_e2 = row_e2 * offset_factor
 
-    white_e = frame.white_e * np.ones(signal_e.shape)
+    white_e = np.full(signal_e.shape, frame.white_e)
     if development.shading is not None:
         white_e *= development.shading
     if development.flat_field is not None and correction.flat_frames:

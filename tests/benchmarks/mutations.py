@@ -633,6 +633,16 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ): "nodes lie symmetrically between two positions",
     (
         "pixsim/viewer/demosaic.py",
+        "1 - np.abs(np.arange(1 - size, size)) / size",
+        "(2 * (1 - np.abs(np.arange(1 - size, size)) / size))",
+    ): "weights are relative to their sum",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "width_e * np.linspace(0.0, 1.0, half + 1) ** 2",
+        "(2 * (width_e * np.linspace(0.0, 1.0, half + 1) ** 2))",
+    ): "a table that ends farther up, where all pixels are full",
+    (
+        "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",
         "(2 * (size + range_px + period * last + 1))",
     ): "products of pixels farther apart than any two of a dot",

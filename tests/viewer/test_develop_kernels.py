@@ -477,6 +477,7 @@ def on_dots(
         (BAYER["gbrg"], "malvar2004", 1.6, "cubic"),
         (QUAD, "interpolate", 1.3, "linear"),
         (("RGB",), "interpolate", 2.6, "cubic"),
+        (("R", "G", "B"), "interpolate", 1.3, "linear"),
     ],
 )
 def test_covariances_are_those_of_the_linear_map(
