@@ -770,6 +770,7 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "extent / step",
         )
     },
+    ("pixsim/optics/field_blur.py", "cells + 1", "cells - 1"): "both are even or odd",
     ("pixsim/optics/field_blur.py", "down + y", "down - y"): (
         "tiles above and below the axis have one tail: a lens is round"
     ),

@@ -189,7 +189,7 @@ def softened_otf() -> np.ndarray:
     light = ChannelWavefronts(
         [front, replace(front, wavelength_nm=650.0)], np.array([0.3, 0.7]), softening
     )
-    return otf_along(periodic_psf(light, 0.0, 0.0, 20.0, 400), 20.0)[1]
+    return np.array(otf_along(periodic_psf(light, 0.0, 0.0, 20.0, 400), 20.0)[1:])
 
 
 def otf_error(pitch_um: float) -> float:
@@ -476,12 +476,15 @@ KERNELS = [
     Claim(
         "a transfer behind the lens multiplies the OTF of each wavelength",
         softened_otf,
-        sum(
-            share
-            * optics.diffraction_otf(OTF_CY_PER_MM, nm, math.hypot(1, 400) / 2)
-            * softening(OTF_CY_PER_MM, nm)
-            for share, nm in ((0.3, 550.0), (0.7, 650.0))
-        ),
+        [
+            sum(
+                share
+                * optics.diffraction_otf(OTF_CY_PER_MM, nm, math.hypot(1, 400) / 2)
+                * softening(OTF_CY_PER_MM, nm)
+                for share, nm in ((0.3, 550.0), (0.7, 650.0))
+            )
+        ]
+        * 2,
         atol=1e-3,
         why="samples of the pupil",
     ),
@@ -608,11 +611,13 @@ KERNELS = [
         "cut-off 2 NA/λ, films that hold it, and PSFs of at most 320 samples of the pupil",
         lambda: [
             cutoff_per_um(ideal_light_at(8.0)),
+            cutoff_per_um(ChannelWavefronts([wavefronts_at([0.0, 1.0])], np.ones(1))),
             resolving_um(ideal_light_at(8.0)),
             *(max_psf_cells(ideal_light_at(8.0), pitch_um) for pitch_um in (1.0, 200.0, 320.0)),
         ],
         [
             1 / (NM * 1e-3 * math.hypot(8.0, 0.5)),
+            2 * 0.2 / (NM * 1e-3),
             1.6 * (1 - BAND_END) / 2 * NM * 1e-3 * math.hypot(8.0, 0.5),
             *(939, 3, 0),  # of 940.4, 4.7 and 2.9
         ],
