@@ -1080,16 +1080,11 @@ NOISY: dict[str, tuple[dict, dict, dict]] = {
     "cubic": ({"pitch_um": 11.0}, {"interpolation": "cubic"}, {}),
     "pixels": ({"row_noise_e": 30.0}, {"raster": "one_to_one"}, {}),
     "corrected": (
-        LINES,
-        {},
-        {"correction": Correction(dark_frames=2, flat_frames=2, column_clamp=4)},
-    ),
-    "shaded": (
-        {"stack": OPENING, "fill_factor": 0.5},
+        LINES | {"stack": OPENING, "fill_factor": 0.5},
         {},
         {
             "camera": CAMERA.model_copy(update={"focal_length_mm": 0.5}),
-            "correction": Correction(flat_frames=4),
+            "correction": Correction(dark_frames=2, flat_frames=2, column_clamp=4),
         },
     ),
     "code 0": (
