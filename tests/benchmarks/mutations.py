@@ -163,6 +163,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "spread_e[-1] * steps[::-1]",
         "spread_e[-1] / steps[::-1]",
     ): "behind the last signal of a table the mean of codes is straight",
+    ("pixsim/viewer/chain.py", "whites / whites.max()", "whites * whites.max()"): (
+        "flat frames are as bright as stated in their brightest pixel"
+    ),
     ("pixsim/viewer/chain.py", "whites / whites.max()", "(2 * (whites / whites.max()))"): (
         "flat frames are as bright as stated in their brightest pixel"
     ),
