@@ -1047,6 +1047,7 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "_CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2)",
             "_CLIP_SIGMAS * np.sqrt(charge_e + pixel_sigma_e**2) + POISSON_MARGIN_E",
             "charge_e + pixel_sigma_e**2",
+            "sign * spread_e",
         )
     },
     (
@@ -1054,6 +1055,28 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "electrons * irradiance.factors[0]",
         "(2 * (electrons * irradiance.factors[0]))",
     ): "its sign alone counts",
+    **{
+        ("pixsim/sensor/pixel.py", before, f"(2 * ({before}))"): (
+            "Newton's method from another start ends in the same root"
+        )
+        for before in (
+            "1e-15 * charge",
+            "charge / (E_PER_FC * self.capacitance_ff(self.reset_voltage_v))",
+            "E_PER_FC * self.capacitance_ff(self.reset_voltage_v)",
+        )
+    },
+    **{
+        ("pixsim/sensor/code_moments.py", "top_dn / 2", after): (
+            "codes are counted from the other end, to the same sums"
+        )
+        for after in ("top_dn * 2", "(2 * (top_dn / 2))")
+    },
+    **{
+        ("pixsim/sensor/photodiode.py", before, f"(2 * ({before}))"): (
+            "where a table ends, far beyond all light and what an ADC reads"
+        )
+        for before in ("_MAX_GENERATED * full_well_e", "_MAX_STORED * full_well_e")
+    },
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),

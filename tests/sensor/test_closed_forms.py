@@ -30,6 +30,7 @@ from pixsim.sensor.mismatch import (
 )
 from pixsim.sensor.motion import (
     ImageMotion,
+    LightSpectrum,
     _SlantedSpectrum,
     border_with_motion_um,
     motion_in_frame,
@@ -482,6 +483,24 @@ CODES = [
             why="the kink of the clip lies between two of 65 nodes",
         )
         for well_e in (500.0, 300_000.0)
+    ),
+    # μ times the mean gain of pixels below the well, 1 + 0.6 z from 0 to W/μ.
+    Claim(
+        "saturation capacity of a PRNU of 60 %, far above shot noise",
+        lambda: saturation_capacity_e(1e5, None, 2.0, 0.6, 0.0),
+        1e5
+        * (share := np.linspace(0.3, 1.0, 7001))[
+            np.argmax(
+                share
+                * (
+                    norm.cdf((1 / share - 1) / 0.6)
+                    - norm.cdf(-1 / 0.6)
+                    + 0.6 * (norm.pdf(1 / 0.6) - norm.pdf((1 / share - 1) / 0.6))
+                )
+            )
+        ],
+        rtol=5e-3,
+        why="shot noise beside a flat peak",
     ),
     Claim(
         "nodes of gains and offsets are no wider apart than the noise, 1000 in all, 37 and 19 or more",
@@ -1655,6 +1674,11 @@ ROLLING = Exposure(integration_s=1e-3, shutter="rolling", line_time_us=10.0)
 FAST = Motion(image_um_per_s=(0.0, -4e3))
 
 
+# Six half periods on 40 samples, and four on 30.
+PHASE_DOWN = math.pi * 6 / 40 * (np.arange(40)[:, None] + 0.5)
+PHASE = math.pi * 4 / 30 * (np.arange(30) + 0.5)
+
+
 def slow_wave(shift: float) -> np.ndarray:
     """Three periods on 200 samples, which go on by reflection."""
     return np.cos(math.pi * 6 * (np.arange(200) + 0.5 - shift) / 200)
@@ -1679,6 +1703,23 @@ def products_along(path_cells: tuple[float, float]) -> list[np.ndarray]:
 
 
 MOTION = [
+    *(
+        Claim(
+            f"a wave averaged along {path_cells}: each of its two waves keeps its sinc",
+            lambda path_cells=path_cells: LightSpectrum(
+                1 + np.cos(PHASE_DOWN) * np.cos(PHASE)
+            ).blurred(path_cells),
+            1
+            + np.sinc(6 / 80 * path_cells[0] + 4 / 60 * path_cells[1])
+            * np.cos(PHASE_DOWN + PHASE)
+            / 2
+            + np.sinc(6 / 80 * path_cells[0] - 4 / 60 * path_cells[1])
+            * np.cos(PHASE_DOWN - PHASE)
+            / 2,
+            atol=1e-12,
+        )
+        for path_cells in ((3.0, -2.0), (7.3, 4.0), (5.0, 0.0), (0.0, 6.0), (0.0, 0.0))
+    ),
     *(
         Claim(
             f"a spectrum averaged along a path of {length:g} in the direction {direction}",
@@ -1805,6 +1846,30 @@ GRID = [
         [[0, 1, 0], [1, 2, 1], [0, 1, 0], [0, 0, 0], [1, 1, 1], [2, 2, 2]],
     ),
     Claim("shares of channels", lambda: Layout(("RG", "GB")).shares, [0.25, 0.5, 0.25]),
+    Claim(
+        "peaks of the channels of a camera, nm",
+        lambda: [entry.peak_nm for entry in cameras() if entry.name == "Canon_EOS_R5"],
+        [[ENERGY_NM[channel.argmax()] for channel in ENERGY.T]],
+    ),
+    Claim(
+        "pitch of four pixels that are read as one",
+        lambda: (
+            derive(
+                Pixel(
+                    technology="4t-bsi",
+                    pitch_um=1.2,
+                    colour={
+                        "pattern": "quad_rggb",
+                        "binning": True,
+                        "sensitivities": "Canon_EOS_R5",
+                        "peak_quantum_efficiency": 0.5,
+                    },
+                )
+            ).read_pitch_um
+        ),
+        2.4,
+        rtol=1e-12,
+    ),
 ]
 
 CLAIMS = [

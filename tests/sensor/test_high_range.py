@@ -406,6 +406,15 @@ NUMBERS = [
         6,
     ),
     (
+        "of a stated gain of the sensitive reading, others have it by their conversion gain",
+        lambda: [
+            reading.readout.dn_per_e
+            for reading in Readout.of(derive(pixel(DUAL, gain_e_per_dn=1.5))).readings
+        ],
+        [1 / 1.5, 49 / 200 / 1.5],
+        12,
+    ),
+    (
         "a split pixel has a variance up to where light and dark charge fill its small photodiode",
         lambda: np.isnan(
             level_variance_e2(

@@ -76,6 +76,7 @@ def limited_crests(low: np.ndarray) -> np.ndarray:
 
 OMEGA = 2 * np.pi / 5
 CRESTS = np.arange(20.0, 180.0, 0.37)
+EDGE = np.repeat([[1000.0], [1.0]], 5, axis=0) * np.ones(8)
 STEEP = np.exp(np.linspace(0, 7 * np.log(10), 200))[:, None] * np.ones(8)
 PHOTODIODES = [
     # Of cells of 1, 1, 1, 5, 5, 5 at half of the third to the fifth: light of a cell of 1 beside 5
@@ -142,6 +143,14 @@ PHOTODIODES = [
         "a hard edge is a ratio of neighbours above 100",
         lambda: [any_hard_edge(np.array([[10.0], [1.0], [ratio]])) for ratio in (99.0, 101.0)],
         [0, 1],
+    ),
+    Claim(
+        "a picture with a hard edge down or across has splines of its columns alone",
+        lambda: [
+            running_integral(samples).both_ways
+            for samples in (EDGE, EDGE.T, np.minimum(EDGE, 50.0), np.minimum(EDGE, 50.0).T)
+        ],
+        [0, 0, 1, 1],
     ),
     Claim(
         "the limit keeps resolved crests",
