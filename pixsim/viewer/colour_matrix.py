@@ -192,7 +192,7 @@ def fit_matrix(
         data = np.vstack([responses, noise])
         data_target = np.vstack([target, np.zeros((channels, 3))])
         tolerance = _NOISE_TOLERANCE
-    from_equal = data.mean(axis=1, keepdims=True) * np.ones(3)
+    from_equal = data.mean(axis=1, keepdims=True)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
     basis, sizes, directions = np.linalg.svd(data @ orthogonal.T, full_matrices=False)
     is_independent = sizes > tolerance * sizes[0]
@@ -233,7 +233,7 @@ class _MeanError:
 
     basis : (P, k), what each coefficient adds to the patches
     directions : (k, C), what it adds to the matrix
-    from_equal : (P, 3), X/Xn, Y/Yn, Z/Zn by the mean of the channels
+    from_equal : (P, 1), each of X/Xn, Y/Yn, Z/Zn by the mean of the channels
     target : (P, 3)
     noise : (P, C, C), or None
     """

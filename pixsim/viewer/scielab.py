@@ -529,7 +529,7 @@ def xyz_to_lab(xyz: Finites, white_xyz: Positives) -> Floats:
 def _lab(relative: Floats, threshold: float, slope: float, dark_slope: float) -> Floats:
     """Return the CIELAB (..., 3) of planes (3, ...) of X/Xn, Y/Yn, Z/Zn."""
     lab = _lab_planes(np.array(relative).reshape(3, -1), threshold, slope, dark_slope)
-    return np.stack(lab, axis=-1).reshape(*relative.shape[1:], 3)
+    return np.stack(lab, axis=1).reshape(*relative.shape[1:], 3)
 
 
 def _lab_planes(relative: Planes, threshold: float, slope: float, dark_slope: float) -> Lab:

@@ -1179,6 +1179,34 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             ("-1", "(-(-1))", "knots that begin again at the dark have the same corrections"),
         )
     },
+    **{
+        ("pixsim/viewer/colour_matrix.py", before, after or f"(2 * ({before}))"): reason
+        for before, after, reason in (
+            ("tolerance * sizes[0]", "", "values are 1e-9 of the largest and more, or of rounding"),
+            (
+                "(optimum.hess_inv + optimum.hess_inv.T) / 2",
+                "",
+                "a search with another first curvature",
+            ),
+            (
+                "(optimum.hess_inv + optimum.hess_inv.T) / 2",
+                "(optimum.hess_inv + optimum.hess_inv.T) * 2",
+                "a search with another first curvature",
+            ),
+            ("optimum.hess_inv + optimum.hess_inv.T", "", "a search with another first curvature"),
+            ("sensitivities.T / largest", "", "sensitivities are relative"),
+        )
+    },
+    (
+        "pixsim/viewer/develop.py",
+        "np.array(sensitivities) * light",
+        "(2 * (np.array(sensitivities) * light))",
+    ): "electrons are relative to those of white",
+    (
+        "pixsim/viewer/develop.py",
+        "lamp * irradiance.band_width_nm",
+        "(2 * (lamp * irradiance.band_width_nm))",
+    ): "electrons and XYZ are relative to those of white",
     ("pixsim/viewer/adaptation.py", "matrix * white", "(2 * (matrix * white))"): (
         "responses to two whites are relative to each other"
     ),

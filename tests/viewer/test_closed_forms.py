@@ -23,6 +23,7 @@ from pixsim.viewer import (
     causes,
     colour_matrix,
     demosaic,
+    develop,
     display as displays,
     mtf as mtf_module,
     scielab,
@@ -132,6 +133,16 @@ BEHIND_LENS = np.stack(
     [nm * optics.diffraction_otf(CY_PER_MM, nm, CAMERA.effective_f_number) for nm in COLOURS_NM]
 )
 DIFFUSED = np.stack([diffusion_of(derive(BARE))(CY_PER_MM, nm) for nm in COLOURS_NM])
+SOME = np.linspace(-0.2, 0.3, 6)
+MEAN_ERROR = colour_matrix._MeanError(
+    *(
+        np.random.default_rng(n).uniform(size=size)
+        for n, size in enumerate(((4, 2), (2, 3), (4, 1)))
+    ),
+    np.array([[0.4, 0.3, 0.2], [0.5, 0.5, 0.5], [0.002, 0.2, 0.7], [1.0, 0.9, 0.8]]),
+    np.array([[[0.3, 0.1, 0.0], [0.1, 0.2, 0.0], [0.0, 0.0, 0.5]]]) * np.ones((4, 1, 1)) / 1e3,
+)
+COVARIANCE = np.array([[1e-18, 3e-10, 2e-7], [3e-10, 1.0, 500.0], [2e-7, 500.0, 1e6]])
 NEAR_THRESHOLD = scielab.xyz_to_lab(
     216 / 24389 * (1 + np.linspace(-1e-6, 1e-6, 41))[:, None] * D65, D65
 )
@@ -336,12 +347,46 @@ COLOURS = [
     ),
     Claim(
         "CIELAB's f and its slope in the dark, where L* is (29/3)³ Y, below black, and in light",
-        lambda: colour_matrix._f_and_slope(np.array([1e-3, -0.01, 0.18])),
+        lambda: colour_matrix._f_and_slope(np.array([8e-3, -0.01, 0.01, 0.18])),
         [
-            [((29 / 3) ** 3 * 1e-3 + 16) / 116, (16 - (29 / 3) ** 3 * 0.01) / 116, 0.18 ** (1 / 3)],
-            [(29 / 3) ** 3 / 116, (29 / 3) ** 3 / 116, 0.18 ** (-2 / 3) / 3],
+            [
+                *(((29 / 3) ** 3 * light + 16) / 116 for light in (8e-3, -0.01)),
+                *(light ** (1 / 3) for light in (0.01, 0.18)),
+            ],
+            [*2 * [(29 / 3) ** 3 / 116], *(light ** (-2 / 3) / 3 for light in (0.01, 0.18))],
         ],
         rtol=1e-14,
+    ),
+    Claim(
+        "slope of the mean error of patches with noise",
+        lambda: (
+            np.array(
+                [
+                    MEAN_ERROR(SOME + step, 0.3)[0] - MEAN_ERROR(SOME - step, 0.3)[0]
+                    for step in 1e-5 * np.eye(6)
+                ]
+            )
+            / 2e-5
+        ),
+        MEAN_ERROR(SOME, 0.3)[1],
+        rtol=1e-7,
+        why="finite differences",
+    ),
+    Claim(
+        "channels are independent whose least singular value is 1.5e-6 of the largest",
+        lambda: [
+            colour_matrix.fit_matrix(
+                np.diag([3.0, 3.0, 4.5e-6]), np.eye(3), D65, "least_squares"
+            ).shape[0],
+            develop.check_separable(np.diag([3.0, 3.0, 4.5e-6]), "D65") is None,
+        ],
+        [3, 1],
+    ),
+    Claim(
+        "a root of a covariance, also of channels with noise of 1e-9 and 1e3",
+        lambda: colour_matrix._root(COVARIANCE).T @ colour_matrix._root(COVARIANCE) / COVARIANCE,
+        np.ones((3, 3)),
+        rtol=1e-12,
     ),
     Claim(
         "metamerism index",

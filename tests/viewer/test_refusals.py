@@ -24,6 +24,7 @@ from pixsim.sensor.camera_data import camera_sensitivities
 from pixsim.viewer import (
     adaptation,
     colour_matrix,
+    develop,
     display as displays,
     scielab,
     screen,
@@ -295,6 +296,14 @@ ROWS: dict[str, tuple[Callable[[], object], str]] = {
             np.ones((6, 4, 3)), white_xyz=D65, samples_per_deg=1e9, filters="zhang1996"
         ),
         r"samples_per_deg: got .*1e-06 to 1e\+06 for 'zhang1996'",
+    ),
+    "channels that are nearly dependent": (
+        lambda: colour_matrix.fit_matrix(np.diag([3.0, 3.0, 2.7e-6]), np.eye(3), np.ones(3), "least_squares"),
+        "responses: got 3 channels of rank 2",
+    ),
+    "channels that are nearly dependent under a lamp": (
+        lambda: develop.check_separable(np.diag([3.0, 3.0, 2.7e-6]), "D65"),
+        "colour under D65: got channels of rank 2",
     ),
     "unknown interpolation": (
         lambda: displays.interpolation_mtf(10.0, 6.5, "sinc"),
