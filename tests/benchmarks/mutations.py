@@ -446,6 +446,26 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "1 + np.abs(x_at)",
         "(2 * (1 + np.abs(x_at)))",
     ): "what a last step of 2e-8 or 4e-8 leaves is its square",
+    (
+        "pixsim/optics/lens.py",
+        "-near",
+        "(-(-near))",
+    ): "the same edge, sought from another first place",
+    (
+        "pixsim/optics/lens.py",
+        "-near * below",
+        "(2 * (-near * below))",
+    ): "the same edge, sought from another first place",
+    (
+        "pixsim/optics/lens.py",
+        "-near * below / (excess(near) - below)",
+        "(2 * (-near * below / (excess(near) - below)))",
+    ): "the same edge, sought from another first place",
+    (
+        "pixsim/optics/lens.py",
+        "excess(near) - below",
+        "(2 * (excess(near) - below))",
+    ): "the same edge, sought from another first place",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -456,7 +456,7 @@ def depth_in_ball(height_mm: float) -> float:
 
 
 def only_ghost(lens: list[Surface], height_mm: float, slope: float, n: float = 1.0) -> Ghost:
-    indices = [n, INDEX, n]
+    indices = [n, INDEX, *[n] * (len(lens) - 1)]
     (ghost,) = find_ghosts(lens, indices, reflectances(indices), height_mm, slope)
     return ghost
 
@@ -559,7 +559,9 @@ RAYS = [
         Claim(
             f"light crosses a plate in a medium of {n:g} three times",
             lambda n=n: (
-                only_ghost([Surface(0.0, 3.0, GLASS), Surface(0.0, 10.0)], 0.5, 0.05, n).blur_mm
+                only_ghost(
+                    [Surface(0.0, 3.0, GLASS), Surface(0.0, 4.0), Surface(0.0, 6.0)], 0.5, 0.05, n
+                ).blur_mm
             ),
             2 * (0.5 + 0.05 * (3 * 3.0 * n / INDEX + 10.0)),
             rtol=1e-12,

@@ -359,6 +359,16 @@ NOTES: dict[str, tuple[str, dict[str, str], str]] = {
     "apertures": ((WILD / "same_with_flap.zmx").read_text(), {}, ""),
     "factors": (FACTORS, {}, "its vignetting factors are used"),
     "factors beside apertures": (ZMX, {}, "not used, so that nothing is cut twice"),
+    "an ellipse turned by 30°": (
+        edited(FACTORS, "VANN 0 0 0|VANN 0 0 30"),
+        {},
+        "the fields 3 are not",
+    ),
+    "a turned disc": (
+        edited(FACTORS, "3.64762539196E-1|2.0477435112E-3", "VANN 0 0 0|VANN 0 0 30"),
+        {},
+        r"\A(?![\s\S]*not used: they)[\s\S]*are used",
+    ),
     "askew factors": (edited(FACTORS, "XFLN 0 0 0|XFLN 0 0 5"), {}, "the fields 3 are not used"),
 }
 
