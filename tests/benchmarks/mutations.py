@@ -466,6 +466,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "excess(near) - below",
         "(2 * (excess(near) - below))",
     ): "the same edge, sought from another first place",
+    (
+        "pixsim/optics/prescription.py",
+        "cx - cy",
+        "(2 * (cx - cy))",
+    ): "compressions that are equal to 1e-9, or to half of it",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

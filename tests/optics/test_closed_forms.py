@@ -950,7 +950,16 @@ STACKS_IN_CLOSED_FORM = [
             np.tile(collected_shares(stack, disc_pupil(0.45)), (300, 1, 1)),
             atol=1e-14,
         )
-        for stack in (Stack(2.2, 1.3, 3.5, 1.5), Stack(2.2, 1.3, 3.5, 1.5, microlens=False))
+        for stack in (
+            Stack(2.2, 1.3, 3.5, 1.5),
+            Stack(2.2, 1.3, 3.5, 1.5, microlens=False),
+            Stack(2.2, 2.1 * (1 - 1e-4), 3.5, 1.5, refraction="paraxial"),  # it touches the edges
+        )
+    ),
+    Claim(
+        "a bare pixel has the shares of each wavelength",
+        lambda: collected_shares(OPENING, WIDE, BANDS_NM),
+        np.stack([collected_shares(OPENING, WIDE)] * 3, axis=1),
     ),
     Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),
