@@ -207,6 +207,11 @@ CLAIMS = [
         spectral.colour_matching(NM)[:, 1],
     ),
     Claim(
+        "observer at a table of wavelengths",
+        lambda: spectral.colour_matching(NM[150:156].reshape(2, 3)),
+        spectral.colour_matching(NM[150:156]).reshape(2, 3, 3),
+    ),
+    Claim(
         "no light beyond the tables",
         lambda: spectral.colour_matching([359.0, 831.0]),
         np.zeros((2, 3)),

@@ -9,7 +9,7 @@ import pytest
 from helpers.claims import check
 
 from pixsim import Pixel
-from pixsim.light.curves import read_curve
+from pixsim.light.curves import as_curves, read_curve
 from pixsim.light.tables import read_table, unit_hint
 from pixsim.scene.guard.assets import spectrum_value
 
@@ -134,6 +134,7 @@ def test_units_of_channels(title: str, name: str, expected: list[float], tmp_pat
         ("nm,mA/W\n400,310000\n500,200\n", "In mA/W? Or relative values?"),
         ("energy (eV),QE\n2.1,0.3\n2.5,0.4\n", "in eV, according to its title"),
         ("400,0,3\n500,0,4\n", "commas between columns and within numbers"),
+        ("nm;R (%);G;B\n400;30;.4;.5\n700;30;.4;.5\n", "some columns in per cent and others not"),
         ("400,-0.1\n500,0.4\n", "-0.1 at 400 nm"),
         ("400,nan\n500,0.4\n", "nan at 400 nm"),
         ("400,1e999\n500,1", "inf at 400 nm"),
@@ -156,7 +157,9 @@ def test_what_cannot_be_a_curve_is_refused_with_the_likely_cause(
     text: str, message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ValueError, match="allowed") as error:
-        read_curve(written(tmp_path, text))
+        (as_curves("transmittances", 1.0) if text.startswith("nm;") else read_curve)(
+            written(tmp_path, text)
+        )
     assert message in str(error.value)
 
 

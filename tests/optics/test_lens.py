@@ -15,8 +15,15 @@ from helpers.claims import Claim, check
 from pixsim import PixsimError, load_lens, optics
 from pixsim.base.toml import packaged
 from pixsim.optics.glass import AIR, constant_glass
-from pixsim.optics.lens import Lens, _monomial_slopes, _monomials, _root, lens_from_prescription
-from pixsim.optics.prescription import Prescription, Surface, Vignetting
+from pixsim.optics.lens import (
+    Lens,
+    _last_traced_field,
+    _monomial_slopes,
+    _monomials,
+    _root,
+    lens_from_prescription,
+)
+from pixsim.optics.prescription import Prescription, Surface, Vignetting, _paraxial_focus
 
 DATA = Path(__file__).parents[1] / "data" / "lenses"
 LENSES = (
@@ -194,6 +201,17 @@ CLAIMS = [
         [[0.005**2 / 4] * 2],
         rtol=1e-4,
         why="f/100, 10 nm thick",
+    ),
+    Claim(
+        "focus of a sphere in its glass, n R/(n - 1)",
+        lambda: _paraxial_focus([Surface(1 / 20, 0.0, GLASS)], np.inf, 550.0),
+        60.0,
+        rtol=1e-14,
+    ),
+    Claim(
+        "the last field with chief rays does not depend on where the search of it ends",
+        lambda: [_last_traced_field(TRIPLET, limit)[0] // 0.1 for limit in (32, 33, 36, 40, 60, 89)],
+        [315] * 6,
     ),
     Claim("a stop behind the lens: its middle", lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 2], [0, 0, 10.0], atol=1e-9),
     Claim(

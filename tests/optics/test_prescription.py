@@ -302,6 +302,12 @@ NUMBERS: dict[str, tuple[str, str, Callable, object, float]] = {
     "wavelengths in use": (
         edited(AIR, "WAVM 1 5.5E-1 1|WAVM 1 .55 1\nWAVM 2 .65 1"), ".zmx", lambda lens: lens.prescription.wavelengths_nm, [550.0], 1e-15
     ),
+    "decentred disc of an oblique field": (
+        edited(
+            FACTORS, "XFLN 0 0 0|XFLN 0 0 24", "VDXN 0 0 0|VDXN 0 0 5.473246586901E-2", "3.64762539196E-1|2.0477435112E-3"
+        ), ".zmx",
+        lambda lens: lens.vignetting[-1][1] / math.copysign(lens.stop_semi_diameter_mm, lens._entrance_pupil_scale(588.0)[0]), 0.05473246586901 * math.sqrt(2), 1e-12
+    ),
     "blank glass": (
         edited(ZMX, "GLAS N-BAK1 0 0 1.572500121386|GLAS ___BLANK 1 0 1.572500121386"), ".zmx", lambda lens: n_d(lens, 1), 1.572500121386, 1e-11
     ),
