@@ -471,6 +471,21 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "cx - cy",
         "(2 * (cx - cy))",
     ): "compressions that are equal to 1e-9, or to half of it",
+    (
+        "pixsim/optics/stack.py",
+        "(high - low) * _TABLE_STEPS",
+        "(2 * ((high - low) * _TABLE_STEPS))",
+    ): "from how many rays on a table takes the place of integrals",
+    (
+        "pixsim/optics/stack.py",
+        "(high - low) * _TABLE_STEPS",
+        "(high - low) / _TABLE_STEPS",
+    ): "from how many rays on a table takes the place of integrals",
+    (
+        "pixsim/optics/stack.py",
+        "before * after",
+        "(2 * (before * after))",
+    ): "whether a product is below 0",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

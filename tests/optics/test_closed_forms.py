@@ -169,7 +169,11 @@ def test_catalogue_of_zemax_has_each_formula_of_its_manual(tmp_path, encoding: s
         n_d = math.sqrt(square(LINES_UM["d"], coefficients))
         numbers = [*coefficients, *([0.0] * (10 - len(coefficients)))]
         lines += [
-            *("CC a glass", f"NM GLASS{formula} {formula} 517642 {n_d} 64.2 0 1", "GC nothing"),
+            *(
+                "CC a glass",
+                f"NM GLASS{formula} {formula} 517642 {n_d + 8e-4} 64.2 0 1",
+                "GC nothing",
+            ),
             *(f"CD {' '.join(map(repr, numbers))}", "TD 0 0 0 0 0 0 20", "LD 0.35 2.0 0"),
         ]
     (tmp_path / "mine.agf").write_bytes("\n".join(lines).encode(encoding))

@@ -139,6 +139,9 @@ SAME: dict[str, tuple[str | bytes, str, str, float, float]] = {
         ),
         "lens.toml", "cooke_triplet", 20.0, 1e-7
     ),
+    "asphere of the smallest term": (
+        edited(TOML, "conic = 0.0|conic = 0.0\nasphere = { A4 = 1.1e-39 }"), "lens.toml", "cooke_triplet", 20.0, 1e-7
+    ),
     "asphere of zeros": (
         edited(TOML, "conic = 0.0|conic = 0.0\nasphere = { A4 = 0.0 }"), "lens.toml", "cooke_triplet", 20.0, 1e-7
     ),
@@ -605,6 +608,7 @@ REFUSED: list[tuple[str, str, dict, str]] = [
             ("conic = 0.0|conic = nan", r"surface 1 \(line 26\): conic"),
             ("conic = 0.0|conics = 0.0", r"surface 1 \(line 26\): .*unknown name; .*'conic'"),
             ("conic = 0.0|asphere = { A1 = 0.1 }", "A1 = 0.1; .*cone"),
+            ("conic = 0.0|asphere = { A4 = 9e-40 }", "asphere: got A4 = 9e-40"),
             ("conic = 0.0|asphere = { A4 = 1e-300 }", "asphere: got A4 = 1e-300"),
             ("conic = 0.0|asphere = { B4 = 0.1 }", "asphere: got a term"),
             (
