@@ -486,6 +486,26 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "before * after",
         "(2 * (before * after))",
     ): "whether a product is below 0",
+    (
+        "pixsim/optics/lens.py",
+        "share / 2",
+        "(2 * (share / 2))",
+    ): "a ratio of two sums with the same weights",
+    (
+        "pixsim/optics/lens.py",
+        "share / 2",
+        "share * 2",
+    ): "a ratio of two sums with the same weights",
+    (
+        "pixsim/optics/lens.py",
+        "stop_x_mm / stop_mm - stop_x",
+        "stop_x_mm / stop_mm + stop_x",
+    ): "rays that met their points are aimed at them again",
+    (
+        "pixsim/optics/lens.py",
+        "stop_y_mm / stop_mm - stop_y",
+        "stop_y_mm / stop_mm + stop_y",
+    ): "rays that met their points are aimed at them again",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -311,6 +311,9 @@ NUMBERS: dict[str, tuple[str, str, Callable, object, float]] = {
         ), ".zmx",
         lambda lens: lens.vignetting[-1][1] / math.copysign(lens.stop_semi_diameter_mm, lens._entrance_pupil_scale(588.0)[0]), 0.05473246586901 * math.sqrt(2), 1e-12
     ),
+    "ellipse of the last field": (
+        FACTORS, ".zmx", lambda lens: np.abs(lens.vignetting[-1]) / [1, *[lens.stop_semi_diameter_mm] * 3], [24.0, 5.473246586901e-2, 1 - 2.0477435112e-3, 1 - 3.64762539196e-1], 1e-12
+    ),
     "blank glass": (
         edited(ZMX, "GLAS N-BAK1 0 0 1.572500121386|GLAS ___BLANK 1 0 1.572500121386"), ".zmx", lambda lens: n_d(lens, 1), 1.572500121386, 1e-11
     ),
