@@ -288,27 +288,29 @@ def pupil_error(is_edge: bool, azimuth: float, rise: float) -> float:
 
 
 def quadratic(z: np.ndarray) -> np.ndarray:
-    return 3 + (z * (1 + 2j) + z**2 * (4.5 - 1.5j)).real + 0.5 * np.abs(z) ** 2
+    return 3 + (z**2 * (4.5 - 1.5j)).real + 0.5 * np.abs(z) ** 2
 
 
-# The largest error of a picture that is moved, against Gauss's quadrature over its cells, which
-# come from (0.95 + c r²) r, with the same scale beyond an end.
-def moved_quadratic_error(cubic: float, end_mm: float) -> float:
+# The errors of a picture that is moved, against Gauss's quadrature over its cells, which come from
+# (0.95 + c r²) r, with the same scale beyond an end; it is level where a cell comes from, or on the
+# axis.
+def moved_quadratic_errors(cubic: float, end_mm: float, cell: complex = 0.0) -> np.ndarray:
     height_mm = np.linspace(0, end_mm, 129)
     z_mm = 20e-3 * np.add.outer(1j * np.arange(-19.5, 20), np.arange(-31.5, 32))
+    level_mm = 20e-3 * cell * (0.95 + cubic * abs(20e-3 * cell) ** 2)
     got = Distortion(height_mm, 0.95 * height_mm + cubic * height_mm**3).applied(
-        quadratic(1.1 * z_mm) + 22e-3**2 / 12, 20.0, 1.1
+        quadratic(1.1 * z_mm - level_mm) + 22e-3**2 / 12, 20.0, 1.1
     )
     node, weight = (part / 2 for part in np.polynomial.legendre.leggauss(4))
     wanted = sum(
-        share * quadratic(place * (0.95 + cubic * np.minimum(np.abs(place), end_mm) ** 2))
+        share
+        * quadratic(place * (0.95 + cubic * np.minimum(np.abs(place), end_mm) ** 2) - level_mm)
         for step, share in zip(
             np.add.outer(1j * node, node).flat, np.outer(weight, weight).flat, strict=True
         )
         for place in [z_mm + 20e-3 * step]
     )
-    error = np.where(np.abs(np.abs(z_mm) - end_mm) > 0.03, np.abs(got - wanted), 0)
-    return float(error[13:-13, 13:-13].max())
+    return np.where(np.abs(np.abs(z_mm) - end_mm) > 0.03, np.abs(got - wanted), 0)
 
 
 def points_on(camera: Camera, heights_um: np.ndarray, bins: int = 1) -> _TestPoints:
@@ -793,12 +795,26 @@ KERNELS = [
     *(
         Claim(
             f"means of a quadratic picture over moved cells, within {end_mm} mm and beyond",
-            lambda cubic=cubic, end_mm=end_mm: moved_quadratic_error(cubic, end_mm),
+            lambda cubic=cubic, end_mm=end_mm: moved_quadratic_errors(cubic, end_mm)[
+                13:-13, 13:-13
+            ].max(),
             0.0,
             atol=atol,
             why="the border of the picture, and fourth derivatives",
         )
-        for cubic, end_mm, atol in ((0.0, 0.7, 1e-7), (0.03, 0.7, 1.2e-5), (0.1, 0.25, 1.5e-5))
+        for cubic, end_mm, atol in ((0.0, 0.7, 1e-7), (0.03, 0.7, 1e-5), (0.1, 0.25, 1e-5))
+    ),
+    *(
+        Claim(
+            f"means over cells around {cell}, where a picture is level and its cells are not square",
+            lambda cell=cell: moved_quadratic_errors(0.1, 0.7, cell)[
+                int(cell.imag + 19.5), int(cell.real + 31.5)
+            ],
+            0.0,
+            atol=2e-8,
+            why="fourth derivatives",
+        )
+        for cell in (17.5 - 5.5j, 17.5 + 5.5j, 11.5 + 6.5j)
     ),
     Claim(
         "the largest shift, and the picture that fills the die",
