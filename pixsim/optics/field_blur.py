@@ -1160,15 +1160,16 @@ class FieldBlur:
 
         # Threads start anew for each batch of columns.
         across = self._tiles[0][1]
+        count = across + 1
         batch_size = max(threads(), _SPREAD_CELLS // (2 * height * self._spread_shape[1]))
         result = np.zeros((height - first[0], width - first[1]))
-        for batch in strips(across + 1, 1, batch_size):
+        for batch in strips(count, 1, batch_size):
             in_threads(compute, range(batch.start, batch.stop), result.size)
             for x in sorted(spread, key=abs):  # always in one order, so that sums round in one way
                 left = (across + x) * self.spacing - first[1]
                 columns_of_result = slice(max(left, 0), left + self._spread_shape[1])
                 result[:, columns_of_result] += spread.pop(x)[:, max(-left, 0) :]
-            report(batch.stop / (across + 1))
+            report(batch.stop / count)
         return result
 
     def _row_transforms(self, light: NDArray[np.float32]) -> NDArray[np.complex64]:

@@ -833,6 +833,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "extent / step",
         )
     },
+    (
+        "pixsim/optics/field_blur.py",
+        "position - np.arange(-count, count + 1)",
+        "position + np.arange(-count, count + 1)",
+    ): "tiles in reversed order, whose tails are those of a round lens",
     ("pixsim/optics/field_blur.py", "cells + 1", "cells - 1"): "both are even or odd",
     ("pixsim/optics/field_blur.py", "down + y", "down - y"): (
         "tiles above and below the axis have one tail: a lens is round"
@@ -917,8 +922,8 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         for before, after in (
             ("2 * height * self._spread_shape[1]", "(2 * (2 * height * self._spread_shape[1]))"),
             ("2 * height", "(2 * (2 * height))"),
-            ("batch.stop / (across + 1)", "batch.stop * (across + 1)"),
-            ("batch.stop / (across + 1)", "(2 * (batch.stop / (across + 1)))"),
+            ("batch.stop / count", "batch.stop * count"),
+            ("batch.stop / count", "(2 * (batch.stop / count))"),
         )
     },
     **{

@@ -1090,8 +1090,8 @@ def test_error_of_a_picture_is_the_worst_mixture_of_its_frequencies(slope: float
     weight = weight * (np.sinc(2.6 * fy) * np.sinc(2.6 * fx)) ** 2
     weight = weight / np.maximum(frequency, 1 / 64) ** slope
     below = (frequency > 0) & (frequency < 3 / 64)
-    least = weight[below].sum() + weight[0, 3]  # the order among equal frequencies is that of rows
-    worst = 0.01 * math.sqrt(weight[0, 3] / least)
+    # The order among equal frequencies is that of rows.
+    worst = 0.01 * math.sqrt(weight[0, 3] / (weight[below].sum() + weight[0, 3]))
     both = np.array([approximate, exact])
     for name, bound, wanted in (
         ("bound", picture_error(approximate, exact, 2.0, 2.6, slope), worst),
@@ -1531,8 +1531,13 @@ def test_die_beyond_the_image_circle_is_dark_there() -> None:
     camera = with_lens("phone", 10.0, 1.0, focal_length_mm=5.2)
     heights_mm, _ = field_angles(camera.lens, 1.0, math.hypot(10.0, 10.0) / 2)
     assert heights_mm[-1] < 6
-    lit_mm = math.sqrt((1 - dark_share(camera)) * 100 / math.pi)
-    check("lit", lit_mm, heights_mm[-1], rtol=0.02, why="the pupil shrinks before")
+    check(
+        "dark share",
+        dark_share(camera),
+        1 - math.pi * heights_mm[-1] ** 2 / 100,
+        atol=0.02,
+        why="the pupil shrinks before",
+    )
     pupil = camera_pupil(camera).at([1e3 * heights_mm[-1], 5000.0], [0.0, 5000.0])
     last, beyond = np.linalg.norm(pupil.chief_cosines, axis=-1)
     check("chief ray", beyond, last, rtol=1e-12, why="the same pupil")
@@ -1656,8 +1661,7 @@ def test_distortion_does_not_limit_a_picture_by_what_is_far_away() -> None:
 
 def test_film_is_widened_for_distortion_and_seen_by_a_thin_lens() -> None:
     distortion = camera_distortion(GAUSS)
-    flat = GAUSS.model_copy(update={"die_height_mm": 16.0})
-    for real in (GAUSS, flat):
+    for real in (GAUSS, GAUSS.model_copy(update={"die_height_mm": 16.0})):
         camera = rendered_camera(real)
         assert camera.lens is None
         assert camera.die_um == pytest.approx(
