@@ -982,11 +982,26 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "np.finfo(float).eps * columns.shape[1] * sizes[row]",
         )
     },
+    **{
+        ("pixsim/optics/camera_lens.py", "_IMAGES + 1", after): (
+            "images from the third on have less than 2e-7 of a wave"
+        )
+        for after in ("(2 * (_IMAGES + 1))", "_IMAGES - 1")
+    },
     (
         "pixsim/optics/camera_lens.py",
-        "source_frequency / (source_frequency + images)",
-        "(2 * (source_frequency / (source_frequency + images)))",
-    ): "weights are relative to their sum",
+        "source_frequency + images",
+        "source_frequency - images",
+    ): "images on both sides in reversed order",
+    **{
+        ("pixsim/optics/camera_lens.py", before, f"(2 * ({before}))"): (
+            "weights are relative to their sum"
+        )
+        for before in (
+            "source_frequency + images",
+            "source_frequency / (source_frequency + images)",
+        )
+    },
     (
         "pixsim/optics/field_blur.py",
         "math.ceil(band_corner) + _SPLINE_COEFFICIENTS // 2",
