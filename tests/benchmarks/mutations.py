@@ -506,6 +506,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "stop_y_mm / stop_mm - stop_y",
         "stop_y_mm / stop_mm + stop_y",
     ): "rays that met their points are aimed at them again",
+    (
+        "pixsim/optics/lens.py",
+        "_OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]",
+        "(2 * (_OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]))",
+    ): "the same edge, between places farther apart",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),
