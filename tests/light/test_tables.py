@@ -34,6 +34,7 @@ FORMS: dict[str, str | bytes] = {
     "byte order mark": "\ufeff" + PLAIN,
     "Latin-1": "Wellenlänge [nm];QE für 25 °C\n400;0,3\n500;0,4\n600;0,25".encode("latin-1"),
     "UTF-16 of a spreadsheet": PLAIN.replace(",", "\t").encode("utf-16"),
+    "UTF-16 of numbers alone": "400\t0.3\n500\t0.4\n600\t0.25".encode("utf-16"),
     "UTF-16 without a mark": PLAIN.encode("utf-16-le"),
     "UTF-16 without a mark, with other letters": f"# {20 * 'Ω'}\n{PLAIN}".encode("utf-16-le"),
     "a comment among the numbers": "x,y\nnm,QE\n400,0.3\n# nm,QE (%)\n500,0.4\n600,0.25\n",
