@@ -626,11 +626,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "last - 1.0",
     ): "numbers of electrons beyond 9 deviations have 1e-17 of the whole",
     (
-        "pixsim/viewer/chain.py",
-        "size_um - float(edges[-1])",
-        "(2 * (size_um - float(edges[-1])))",
-    ): "the scored dots are centred: the room on the other side is the smaller one",
-    (
         "pixsim/viewer/demosaic.py",
         "products * taps[0]",
         "products / taps[0]",
@@ -719,6 +714,19 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "width_e * np.linspace(0.0, 1.0, half + 1) ** 2",
         "(2 * (width_e * np.linspace(0.0, 1.0, half + 1) ** 2))",
     ): "a table that ends farther up, where all pixels are full",
+    ("pixsim/viewer/demosaic.py", "range_px + 1", "range_px - 1"): (
+        "the ends of a filter's products, 1e-7 of their middle"
+    ),
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "FARTHEST_SIGMAS * read_e",
+        "(2 * (FARTHEST_SIGMAS * read_e))",
+    ): "panels that end farther from the top code, right to 1e-6 as well",
+    (
+        "pixsim/viewer/raw_metrics.py",
+        "FARTHEST_SIGMAS * np.sqrt(charge_e2)",
+        "(2 * (FARTHEST_SIGMAS * np.sqrt(charge_e2)))",
+    ): "the moments far below a well are those without one",
     (
         "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",

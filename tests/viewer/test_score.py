@@ -180,24 +180,34 @@ def test_pictures_are_rounded_and_clipped_to_the_display() -> None:
 @pytest.mark.parametrize(("share", "is_refused"), [(0.999, False), (1.0, False), (1.001, True)])
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("lines_s", [0.0, 0.02])
+@pytest.mark.parametrize(
+    ("display", "registration"), [(DISPLAY, None), (Display(raster="one_to_one"), (0.25, 0.25))]
+)
 def test_motion_takes_the_margin_on_both_sides(
-    axis: int, lines_s: float, share: float, is_refused: bool
+    axis: int, lines_s: float, share: float, is_refused: bool, display: Display, registration
 ) -> None:
     """The longest path, of a row and until the last one is read, is twice the room between the
-    scored dots and the border of the pixels.
+    scored dots and the border of the pixels; of registered pixels there is less on one side.
     """
     lines = {"shutter": "rolling", "line_time_us": 1e6 * lines_s * 28.0 / 2713.6} if lines_s else {}
-    call = {"pixel": Pixel(pitch_um=28.0), "exposure": Exposure(integration_s=0.01, **lines)}
-    still = imaging_chain(chart(96), CAMERA, display=DISPLAY, border_um=100.0, **call)
-    room_um = float(still.screen.dot_edges_um[axis][0]) - still.readout.physics.border_um
+    call = {
+        "pixel": Pixel(pitch_um=28.0, registration=registration),
+        "exposure": Exposure(integration_s=0.01, **lines),
+        "display": display,
+        "border_um": 100.0,
+    }
+    still = imaging_chain(chart(96), CAMERA, **call)
+    room_um = (
+        2713.6 / 2 - 28.0 * (48 + 0.25)
+        if registration
+        else float(still.screen.dot_edges_um[axis][0]) - still.readout.physics.border_um
+    )
     speed = 2 * room_um * share / (0.01 + lines_s)
     with pytest.raises(PixsimError, match="motion: got") if is_refused else nullcontext():
         imaging_chain(
             chart(96),
             CAMERA,
-            display=DISPLAY,
             **call,
-            border_um=100.0,
             motion=Motion(image_um_per_s=(0.0, speed) if axis == 0 else (speed, 0.0)),
         )
 
