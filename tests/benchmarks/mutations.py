@@ -1310,6 +1310,36 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "lamp * irradiance.band_width_nm",
         "(2 * (lamp * irradiance.band_width_nm))",
     ): "electrons and XYZ are relative to those of white",
+    **{
+        ("pixsim/viewer/display.py", before, after or f"(2 * ({before}))"): reason
+        for before, after, reason in (
+            (
+                "(near * (1 - _CODE_MARGIN)).view(np.int64) - 1",
+                "(near * (1 - _CODE_MARGIN)).view(np.int64) + 1",
+                "the interval of a search is far wider than a last digit",
+            ),
+            (
+                "(near * (1 + _CODE_MARGIN)).view(np.int64) + 1",
+                "(near * (1 + _CODE_MARGIN)).view(np.int64) - 1",
+                "the interval of a search is far wider than a last digit",
+            ),
+            ("_BINS_PER_CODE * (top + 1)", "", "codes of fewer bins are searched"),
+            (
+                "_BINS_PER_CODE * (top + 1)",
+                "_BINS_PER_CODE / (top + 1)",
+                "codes of more bins are searched",
+            ),
+            ("2.0**frame.bits / frame.dn_per_e", "", "half of 1e30 is far within float32, too"),
+            ("(last - first).max() + 1", "", "cells beyond the last are left out"),
+            ("top + 1", "", "codes beyond the last, which are not used"),
+            ("_MAX_SINGLE * white_e", "", "twice 1e30 is far within float32, too"),
+            (
+                "2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e",
+                "",
+                "half of 1e30 is far within float32, too",
+            ),
+        )
+    },
     ("pixsim/viewer/adaptation.py", "matrix * white", "(2 * (matrix * white))"): (
         "responses to two whites are relative to each other"
     ),

@@ -63,6 +63,7 @@ DARK = Readout.of(
 )
 CLIP = dark_clip(DARK, 0.03, 1e4)
 LOGARITHM = VarianceTable(np.linspace(-5, 150, 40001), (1 + np.linspace(-5, 150, 40001) / 10) ** 2)
+CELLS = np.array([-2.0, -1.0, 0.5, 3.0, 7.0, 9.0, 10.0])
 GREY_CURVE = np.linspace(0.0, 2.0, 2001)
 PITCH_MM = 0.005
 NYQUIST = 0.5 / PITCH_MM
@@ -133,7 +134,6 @@ BEHIND_LENS = np.stack(
     [nm * optics.diffraction_otf(CY_PER_MM, nm, CAMERA.effective_f_number) for nm in COLOURS_NM]
 )
 DIFFUSED = np.stack([diffusion_of(derive(BARE))(CY_PER_MM, nm) for nm in COLOURS_NM])
-SOME = np.linspace(-0.2, 0.3, 6)
 MEAN_ERROR = colour_matrix._MeanError(
     *(
         np.random.default_rng(n).uniform(size=size)
@@ -162,8 +162,8 @@ DISPLAYS = [
     Claim("primaries sum to white", lambda: displays.XYZ_FROM_RGB.sum(axis=1), D65, rtol=1e-14),
     Claim(
         "grey primaries are grey",
-        lambda: displays.rgb_to_xyz(np.full((1, 3), 0.25)),
-        [D65 / 4],
+        lambda: displays.rgb_to_xyz(np.full((1, 2, 3), 0.25)),
+        [[D65 / 4, D65 / 4]],
         rtol=1e-14,
     ),
     Claim(
@@ -198,6 +198,51 @@ DISPLAYS = [
         rtol=1e-12,
     ),
     Claim(
+        "light with 0.1 lm/W and more has a luminance, faint light and bright light",
+        lambda: [
+            displays.has_luminance(
+                SpectralImage(
+                    [550.0, 930.0],
+                    10.0,
+                    2.0,
+                    data=np.ones((4, 4, 2)),
+                    header={"lamp_w_per_m2_sr_nm": [scale * lm_per_w / 679, scale]},
+                )
+            )
+            for scale in (1e-4, 1e4)
+            for lm_per_w in (0.09, 0.19)
+        ],
+        [0, 1, 0, 1],
+    ),
+    Claim(
+        "means of a spline through x³ - 5x² + 2x + 1 at 0 to 7, constant beyond them",
+        lambda: displays.average_axis(
+            np.tile(np.polyval([1, -5, 2, 1], np.arange(8.0)), (2, 1)),
+            2.0,
+            1.0,
+            2 * (CELLS + 1),
+            3,
+            1,
+        ),
+        [
+            np.diff(
+                np.polyval([1 / 4, -5 / 3, 1, 1, 0], np.clip(CELLS, 0, 7))
+                + np.minimum(CELLS, 0)
+                + 113 * np.maximum(CELLS - 7, 0)
+            )
+            / np.diff(CELLS)
+        ]
+        * 2,
+        rtol=1e-12,
+        atol=1e-12,
+    ),
+    Claim(
+        "edges of pixels of which one begins a quarter behind the middle",
+        lambda: displays.pixel_edges_um(12.0, 3, 3.0, 0.25),
+        [0.75, 3.75, 6.75, 9.75],
+        atol=1e-12,
+    ),
+    Claim(
         "edges of centred pixels",
         lambda: displays.pixel_edges_um(10.0, 3, 3.0),
         [0.5, 3.5, 6.5, 9.5],
@@ -221,7 +266,7 @@ DISPLAYS = [
     *(
         Claim(
             f"out of the gamut: {rgb}",
-            lambda rgb=rgb: displays.out_of_gamut_share(np.array([rgb])),
+            lambda rgb=rgb: displays.out_of_gamut_share(np.array([[rgb, [0.5, 0.5, 0.5]]])) * 2,
             expected,
         )
         for rgb, expected in (
@@ -231,6 +276,7 @@ DISPLAYS = [
             ([1.01, 1.0, 1.0], 0.0),
             ([-0.01, 0.5, 0.5], 1.0),
             ([1.1, 0.2, 0.2], 1.0),
+            ([1.1, 0.6, 0.6], 1.0),
             ([3.0, 3.0, -0.1], 1.0),
         )
     ),
@@ -361,14 +407,11 @@ COLOURS = [
         "slope of the mean error of patches with noise",
         lambda: (
             np.array(
-                [
-                    MEAN_ERROR(SOME + step, 0.3)[0] - MEAN_ERROR(SOME - step, 0.3)[0]
-                    for step in 1e-5 * np.eye(6)
-                ]
+                [MEAN_ERROR(step, 0.3)[0] - MEAN_ERROR(-step, 0.3)[0] for step in 1e-5 * np.eye(6)]
             )
             / 2e-5
         ),
-        MEAN_ERROR(SOME, 0.3)[1],
+        MEAN_ERROR(np.zeros(6), 0.3)[1],
         rtol=1e-7,
         why="finite differences",
     ),

@@ -115,9 +115,9 @@ def test_tables_of_other_steps_agree() -> None:
     """Finer ones to rounding in any unit; of 20 nm to 0.03."""
     nm, curves = camera_sensitivities("Canon_EOS_R5")
     fine = np.arange(380.0, 780.5, 0.5)
-    interpolated = np.stack([np.interp(fine, nm, curve) for curve in curves.T], axis=1)
     expected = colour_matrix(nm, curves)
-    np.testing.assert_allclose(colour_matrix(fine, 1e300 * interpolated), expected, atol=1e-9)
+    bright = np.stack([1e300 * np.interp(fine, nm, curve) for curve in curves.T], axis=1)
+    np.testing.assert_allclose(colour_matrix(fine, bright), expected, atol=1e-9)
     np.testing.assert_allclose(colour_matrix(nm[::4], curves[::4]), expected, atol=0.03)
 
 

@@ -180,6 +180,17 @@ CLAIMS = [
         )
         for border_um, dots in ((0.0, 0), (1e-6, 1), (5.3 * (1 + 1e-12), 1), (5.31, 2), (15.0, 3))
     ),
+    *(
+        Claim(
+            f"codes of 31 bits of {dn_per_e:g} DN/e-, and {dark_e:g} e-, fit float32 or not",
+            lambda dn_per_e=dn_per_e, dark_e=dark_e: displays.fits_single(
+                Frame(np.zeros((1, 1)), np.zeros((1, 1)), 1.0, dn_per_e, 64, dark_e, 5.3, 31, 0.0),
+                1.0,
+            ),
+            fits,
+        )
+        for dn_per_e, dark_e, fits in ((1e3, 0.0, 1), (1e-22, 0.0, 0), (1e3, 2e30, 0))
+    ),
     Claim(
         "pixels as dots are centred and have no border",
         lambda: np.concatenate(displays.dot_edges_um(HALF_UM, 6.5, PIXEL_DOTS, 15.0)),
