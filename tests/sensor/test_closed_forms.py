@@ -166,8 +166,9 @@ SPREADS = [
 
 
 def charge_key(kelvin: float, **more: float) -> str:
-    stack = {"height_um": 3.0, "index": 1.5} | more
-    return pixel_035(temperature_k=kelvin, stack=stack).charge.content_hash
+    return pixel_035(
+        temperature_k=kelvin, stack={"height_um": 3.0, "index": 1.5} | more
+    ).charge.content_hash
 
 
 def diffusing(kelvin: float) -> float:
@@ -923,8 +924,10 @@ TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
 def level_share(name: str, share, **options) -> np.ndarray:
     """Signal level after 30 ms of a charge, both as shares of the full well."""
     reading = Readout.of(of_process(name, conversion="junction", **options))
-    charge_e = np.asarray(share) * reading.full_well_e
-    return stored_signal_e(charge_e, 0.03, reading) / reading.full_well_e
+    return (
+        stored_signal_e(np.asarray(share) * reading.full_well_e, 0.03, reading)
+        / reading.full_well_e
+    )
 
 
 def zero_bias_v(name: str) -> float:

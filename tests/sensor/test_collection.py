@@ -568,8 +568,10 @@ def test_stack_of_a_pixel_goes_before_that_of_the_technology() -> None:
     assert (bare.charge.crosstalk, bare.charge.diffusion_um) == (None, (1.0, 10.0))
     off = physics(LENSED, stack={"enabled": False, "microlens": "square"})
     assert off.stack is off.charge is off.efficiency_f_number is None
-    expected = mean_signal_rate(DETAIL, CAMERA, physics(load_technology("0.35um")))
-    np.testing.assert_array_equal(mean_signal_rate(DETAIL, CAMERA, off), expected)
+    np.testing.assert_array_equal(
+        mean_signal_rate(DETAIL, CAMERA, off),
+        mean_signal_rate(DETAIL, CAMERA, physics(load_technology("0.35um"))),
+    )
 
 
 @pytest.mark.parametrize(("name", "pitch_um"), PINNED.items())
@@ -714,8 +716,9 @@ def test_diffusion_mtf_solves_the_diffusion_equation(
     collected = np.array([collected_by_depth(f, alpha, depletion, length) for f in frequency])
     mtf = diffusion_mtf(frequency, alpha, depletion, length)
     np.testing.assert_allclose(mtf, collected / collected[0], rtol=1e-9)
-    mirrored = diffusion_mtf(-frequency, [[alpha]], depletion, length)
-    np.testing.assert_allclose(mirrored, [mtf], rtol=1e-15)
+    np.testing.assert_allclose(
+        diffusion_mtf(-frequency, [[alpha]], depletion, length), [mtf], rtol=1e-15
+    )
 
 
 @pytest.mark.parametrize(

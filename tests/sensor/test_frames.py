@@ -242,8 +242,9 @@ def corrected_e(
     shading: Array | None = None,
 ) -> Array:
     """Corrected electrons of a picture with a mean signal."""
-    rate = np.broadcast_to(signal_e, sensor.shape) / TIME_S
-    frame = capture_from_rates(rate, sensor, exposure, stream("picture", 0))
+    frame = capture_from_rates(
+        np.broadcast_to(signal_e, sensor.shape) / TIME_S, sensor, exposure, stream("picture", 0)
+    )
     return correct(frame, sensor, correction, stream("correction", 0), shading, balance).estimate_e
 
 
@@ -571,8 +572,10 @@ def test_tiff_states_its_mosaic_as_other_programs_do(
     """Tags 33421 and 33422 of TIFF/EP: rows and columns, then 0 for red, 1 for green, 2 for blue;
     none for other colours.
     """
-    mosaic = RawFrame(np.arange(36).reshape(6, 6), bits=8, layout=Layout.parse(layout))
-    write_frame(tmp_path / "raw.tiff", mosaic)
+    write_frame(
+        tmp_path / "raw.tiff",
+        RawFrame(np.arange(36).reshape(6, 6), bits=8, layout=Layout.parse(layout)),
+    )
     with Image.open(tmp_path / "raw.tiff") as picture:
         tags = picture.tag_v2
     stated = tags.get(33422)

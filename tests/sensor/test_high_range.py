@@ -641,8 +641,9 @@ def test_denoising_takes_the_noise_of_the_reading(method: str) -> None:
 def flat_light(level: float, disc: float = 0.0) -> pixsim.SpectralImage:
     """Uniform light, with a disc of 40 % of its width that differs by a contrast."""
     picture = level * (1 + disc * (np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 13))
-    header = {"diffraction": False}
-    return pixsim.SpectralImage([550.0], 10.0, 2.8, data=picture[..., None], header=header)
+    return pixsim.SpectralImage(
+        [550.0], 10.0, 2.8, data=picture[..., None], header={"diffraction": False}
+    )
 
 
 FLAT_CAMERA = pixsim.Camera(die_mm=64 * 2.8e-3, object_distance_m=1000.0)
@@ -950,8 +951,11 @@ def test_a_run_has_the_snr_of_readings_against_charge_and_luminance() -> None:
     table = snr_section(curve).blocks[1].drawn.csv.splitlines()
     assert table[0] == "charge_e,luminance_cd_per_m2,merged_db,large_db,small_db"
 
-    single_db = pixsim.snr_db(sensor_pixel, curve.charge_e / 4)
-    np.testing.assert_allclose(curve.merged_db, single_db + 20 * math.log10(2), rtol=1e-12)
+    np.testing.assert_allclose(
+        curve.merged_db,
+        pixsim.snr_db(sensor_pixel, curve.charge_e / 4) + 20 * math.log10(2),
+        rtol=1e-12,
+    )
     white_e = result.chain.white_e_per_s * TIME_S
     assert curve.cd_per_m2_per_e * white_e == pytest.approx(
         result.irradiance.header["luminance_cd_per_m2"]

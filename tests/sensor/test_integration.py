@@ -279,8 +279,12 @@ def test_what_is_far_away_does_not_change_an_edge(patch: tuple[float, ...]) -> N
     alone = integrate_axis(edge_of_ten(), 1.0, LOW, LOW + SIDE, 0)
     spline = spline_of(edge_of_ten())
     np.testing.assert_allclose(alone, spline(LOW + SIDE) - spline(LOW), atol=1e-12)
-    beside = integrate_axis(edge_of_ten(patch, 100), 1.0, LOW, LOW + SIDE, 0)
-    np.testing.assert_allclose(beside, alone, rtol=0, atol=1e-9 * 9 * SIDE)
+    np.testing.assert_allclose(
+        integrate_axis(edge_of_ten(patch, 100), 1.0, LOW, LOW + SIDE, 0),
+        alone,
+        rtol=0,
+        atol=1e-9 * 9 * SIDE,
+    )
     columns = np.hstack([edge_of_ten(), edge_of_ten(patch, 45)])
     both = integrate_axis(columns, 1.0, LOW, LOW + SIDE, 0)
     np.testing.assert_array_equal(both[:, :1], alone)

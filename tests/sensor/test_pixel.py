@@ -293,8 +293,10 @@ def test_every_number_with_a_range_can_be_set_to_both_ends(name: str) -> None:
 
 
 def test_ranges_and_sources_do_not_change_the_key_of_a_row() -> None:
-    bare = T035.model_copy(update={"ranges": {}, "sources": {}, "distributions": {}})
-    assert bare.content == T035.content
+    assert (
+        T035.model_copy(update={"ranges": {}, "sources": {}, "distributions": {}}).content
+        == T035.content
+    )
     assert T035.with_numbers({"dsnu": 0.2}, "here").content == T035.content | {"dsnu": 0.2}
 
 
@@ -580,8 +582,9 @@ def test_transmittances_multiply_the_response_of_the_pixel() -> None:
     efficiencies = np.array([channel.quantum_efficiency(BANDS_NM) for channel in pixel.channels])
     filters = [np.interp(BANDS_NM, *np.transpose(CURVES[letter])) for letter in "RGB"]
     np.testing.assert_allclose(efficiencies, filters * unfiltered, rtol=1e-12)
-    mean = [0.25, 0.5, 0.25] @ efficiencies
-    np.testing.assert_allclose(pixel.quantum_efficiency(BANDS_NM), mean, rtol=1e-12)
+    np.testing.assert_allclose(
+        pixel.quantum_efficiency(BANDS_NM), [0.25, 0.5, 0.25] @ efficiencies, rtol=1e-12
+    )
 
 
 def test_crosstalk_mixes_colours_before_noise() -> None:
