@@ -1180,6 +1180,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         )
         for before in ("_MAX_GENERATED * full_well_e", "_MAX_STORED * full_well_e")
     },
+    (
+        "pixsim/sensor/photodiode.py",
+        "np.array(diode.knees_v) / diode.thermal_v",
+        "np.array(diode.knees_v) * diode.thermal_v",
+    ): "a panel across the knee of a capacitance, whose slope goes on, errs by less than 1e-13",
+    ("pixsim/sensor/raw.py", "8", "(8) + 1"): "how many names a message lists",
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),

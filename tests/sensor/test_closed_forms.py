@@ -63,6 +63,7 @@ from pixsim.sensor.pixel import (
     response_curve,
     silicon_curve,
     smallest_pitch_um,
+    spread_registration,
 )
 from pixsim.sensor.reading import Adc, Readout, dark_spread_e, least_black_level_dn, with_merge
 from pixsim.sensor.readout import (
@@ -1804,6 +1805,11 @@ MOTION = [
 ]
 
 GRID = [
+    Claim(
+        "places of repeats are Sobol's points, in two dimensions",
+        lambda: [spread_registration(repeat) for repeat in range(4)],
+        [(0.0, 0.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.25)],
+    ),
     Claim(
         "all repeats are shifted with the registration of the first one, x and y",
         lambda: (

@@ -639,8 +639,10 @@ DEEP = np.random.default_rng(1).integers(0, 65536, (7, 5, 4))
 def test_deep_rgb_of_a_tiff_is_read_to_the_last_bit(count: int, tmp_path: Path) -> None:
     path = tmp_path / "deep.tif"
     tiff(path, DEEP[..., :count].astype("<u2"), 2, **({"t338": (3, [2])} if count == 4 else {}))
-    values, _ = read_picture(path, "picture", SUFFIXES, in_colour=True)
-    np.testing.assert_array_equal(values, DEEP[..., :3])
+    np.save(tmp_path / "deep.npy", DEEP[..., :count])
+    for file in ("deep.npy", "deep.tif"):
+        values, _ = read_picture(tmp_path / file, "picture", (".npy", ".tif"), in_colour=True)
+        np.testing.assert_array_equal(values, DEEP[..., :3])
     with pytest.raises(pixsim.PixsimError, match="red, green and blue"):
         read_frame(path)
 

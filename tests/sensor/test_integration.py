@@ -152,6 +152,14 @@ PHOTODIODES = [
         ],
         [0, 0, 1, 1],
     ),
+    # 999/10 · 0.43^n above 1e-5 of 1000 and of 1.
+    Claim(
+        "cells that ring above 1e-5 of the bright and of the dark side of an edge",
+        lambda: np.sum(
+            np.split(ringing_cells(np.repeat([[1000.0], [1.0]], 40, axis=0)), 2), axis=(1, 2)
+        ),
+        [math.ceil(math.log(share / 99.9) / math.log(0.43)) for share in (1e-2, 1e-5)],
+    ),
     Claim(
         "the limit keeps resolved crests",
         lambda: limited_crests(CRESTS),
