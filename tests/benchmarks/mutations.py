@@ -727,6 +727,14 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "FARTHEST_SIGMAS * np.sqrt(charge_e2)",
         "(2 * (FARTHEST_SIGMAS * np.sqrt(charge_e2)))",
     ): "the moments far below a well are those without one",
+    ("pixsim/viewer/demosaic.py", "middle + lags", "middle - lags"): (
+        "pixels are correlated with those on one side as with those on the other"
+    ),
+    (
+        "pixsim/viewer/demosaic.py",
+        "column - offset + kx // 2",
+        "column - offset - kx // 2",
+    ): "a sum over the columns of a cell that begins at another one",
     (
         "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",
