@@ -737,6 +737,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ): "a sum over the columns of a cell that begins at another one",
     (
         "pixsim/viewer/demosaic.py",
+        "2 * (margin_px + count) + int(np.ceil(dot_px)) + 1",
+        "2 * (margin_px + count) + int(np.ceil(dot_px)) - 1",
+    ): "two pixels fewer of those behind a dot",
+    (
+        "pixsim/viewer/demosaic.py",
         "size + range_px + period * last + 1",
         "(2 * (size + range_px + period * last + 1))",
     ): "products of pixels farther apart than any two of a dot",

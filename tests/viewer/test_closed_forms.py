@@ -715,6 +715,16 @@ DEVELOPMENT = [
         rtol=1e-6,
         why="half of the codes, and the density of half a code; next term (½/σ)²/6",
     ),
+    Claim(
+        "clipping at 0 DN of 200 e- of dark charge µ: σφ(µ/σ) - µΦ(-µ/σ), σ² = 100² + µ",
+        lambda: dark_clip(DARK.with_physics(dark_current_e_per_s=200 / 0.03), 0.03, 1e4)[
+            "too_bright_e"
+        ],
+        math.sqrt(10_200 / 2 / math.pi) * math.exp(-(200**2) / 2 / 10_200)
+        - 100 * math.erfc(200 / math.sqrt(2 * 10_200)),
+        rtol=1e-6,
+        why="next term 1/24σ²",
+    ),
     Claim("clipping at 0 DN: spread", lambda: CLIP["spread_e"], 100.0, rtol=1e-12),
     Claim(
         "clipping at 0 DN in four exposures: each clips, and their noise adds up by squares",
