@@ -511,16 +511,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "_OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]",
         "(2 * (_OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]))",
     ): "the same edge, between places farther apart",
-    (
-        "pixsim/optics/lens.py",
-        "high - low",
-        "(2 * (high - low))",
-    ): "a root that is known to 1e-12, or better",
-    (
-        "pixsim/optics/lens.py",
-        "high - low",
-        "high + low",
-    ): "a root that is known to 1e-12, or better",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -967,6 +967,13 @@ STACKS_IN_CLOSED_FORM = [
     ),
     Claim("no points", lambda: collected_shares(OPENING, disc_pupil(np.empty(0))), np.empty((0, 5, 5))),
     Claim("fill factor", lambda: Stack(2.0, 0.5, 3.0, 1.5).fill_factor, 1 / 16),
+    Claim(
+        "diffracted light of many points",
+        lambda: collected_shares(SHIFTED, disc_pupil(0.3, np.full(60, 20.0), 30.0), 450.0),
+        np.stack([collected_shares(SHIFTED, disc_pupil(0.3, 20.0, 30.0), 450.0)] * 60),
+        atol=2e-8,
+        why="interpolation",
+    ),
     *(
         Claim(
             f"light lands on a giant pixel {pixels} away",

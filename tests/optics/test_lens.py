@@ -230,6 +230,13 @@ CLAIMS = [
         atol=3e-7,
         why="fifth-order aberrations, 5e-5 of 15 µm",
     ),
+    Claim(
+        "the largest of twenty smaller fields that has a chief ray",
+        lambda: TRIPLET._nearest_chief_height_mm(60.0, 550.0),
+        TRIPLET._chief_pupil_heights_mm(np.array([30.0]), np.array([550.0]))[0],
+        rtol=1e-9,
+        why="aiming",
+    ),
     Claim("a stop behind the lens: its middle", lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 2], [0, 0, 10.0], atol=1e-9),
     Claim(
         "its chief ray in the image",
