@@ -406,7 +406,7 @@ def _shares_of_points(stack: Stack, pupil: Pupil) -> Array:
 
     # The integrals along x may begin at any constant.
     start = chief[point, :1]
-    area = (rise * _moment(start, x, y, 0, is_exact)).sum(axis=-1)
+    area = (rise * _moment(start, x, y, 0, is_exact)).sum(axis=1)
 
     x = x[..., None]
     y = y[..., None]

@@ -511,6 +511,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "_OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]",
         "(2 * (_OUTLINE_STEPS[-1] - _OUTLINE_STEPS[-2]))",
     ): "the same edge, between places farther apart",
+    (
+        "pixsim/optics/stack.py",
+        "int((high - low) * _TABLE_STEPS) + 2",
+        "(2 * (int((high - low) * _TABLE_STEPS) + 2))",
+    ): "a longer table",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

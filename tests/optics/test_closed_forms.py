@@ -978,8 +978,8 @@ STACKS_IN_CLOSED_FORM = [
         Claim(
             f"light lands on a giant pixel {pixels} away",
             lambda pixels=pixels: collected_shares(
-                Stack(1e5, 0.7e5, pixels * 2e5, 1.5),
-                Directions(np.array([[1.5 / math.sqrt(5.0), 0.0]]), np.ones(1), AXIS),
+                Stack(1e5, 0.7e5, pixels * 0.6e5, 1.0),
+                Directions(np.array([[1 / math.sqrt(1.36), 0.0]]), np.ones(1), AXIS),
                 [550.0],
             )[0, 2, 2 + pixels],
             1.0,

@@ -237,6 +237,14 @@ CLAIMS = [
         rtol=1e-9,
         why="aiming",
     ),
+    Claim(
+        "exit pupil of a stop 10 mm in front of a sphere of 20 mm and its image in glass",
+        lambda: made_of(
+            Surface(0.0, 10.0), Surface(1 / 20, 60.0, GLASS), diameter=2.0
+        ).first_order(550.0).exit_pupil_from_image_mm,
+        1.5 / (0.5 / 20 - 1 / 10) - 60.0,
+        rtol=1e-14,
+    ),
     Claim("a stop behind the lens: its middle", lambda: BEHIND.ray_points(5.0, 550.0, 0.0, 0.0)[0, 2], [0, 0, 10.0], atol=1e-9),
     Claim(
         "its chief ray in the image",
