@@ -869,6 +869,23 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "position - np.arange(-count, count + 1)",
         "position + np.arange(-count, count + 1)",
     ): "tiles in reversed order, whose tails are those of a round lens",
+    **{
+        ("pixsim/optics/field_blur.py", before, f"(2 * ({before}))"): (
+            "the error of a picture is relative to its power"
+        )
+        for before in (
+            "np.sum(area_share * power, axis=0) * weight",
+            "area_share * power",
+            "np.sinc(fy * aperture_um) * np.sinc(fx * aperture_um)",
+            "count * aperture_mtf**2",
+        )
+    },
+    **{
+        ("pixsim/optics/field_blur.py", f"{at} + {offset}", f"{at} - {offset}"): (
+            "tiles around a place, of mirrored weights, in reversed order"
+        )
+        for at, offset in (("x_um", "x * spacing * pitch_um"), ("y_um", "y * spacing * pitch_um"))
+    },
     ("pixsim/optics/field_blur.py", "cells + 1", "cells - 1"): "both are even or odd",
     ("pixsim/optics/field_blur.py", "down + y", "down - y"): (
         "tiles above and below the axis have one tail: a lens is round"
