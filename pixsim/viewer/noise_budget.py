@@ -237,7 +237,7 @@ def _merged_variances(readout: Readout, light_e: Array, integration_s: float) ->
     for name in names:
         readout = _without(readout, name)
         without_e2 = float(np.mean(merged(readout)))
-        if remaining_e2 - without_e2 > 0:
+        if remaining_e2 > without_e2:
             variances[name] = remaining_e2 - without_e2
         remaining_e2 = without_e2
     variances[SHOT] = remaining_e2
