@@ -1371,6 +1371,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             ),
         )
     },
+    (
+        "pixsim/viewer/metric_kernels/visible_noise.py",
+        "_BRADFORD.sum(axis=1) / (_BRADFORD @ white)",
+        "(2 * (_BRADFORD.sum(axis=1) / (_BRADFORD @ white)))",
+    ): "channels are filtered at twice their size, which is taken back",
     ("pixsim/viewer/adaptation.py", "matrix * white", "(2 * (matrix * white))"): (
         "responses to two whites are relative to each other"
     ),

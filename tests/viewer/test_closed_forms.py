@@ -237,6 +237,24 @@ DISPLAYS = [
         atol=1e-12,
     ),
     Claim(
+        "repeats of odd numbers of rows or columns are registered half a pixel from even ones",
+        lambda: [
+            np.subtract(
+                *(
+                    imaging(CAMERA, PIXEL)
+                    .changed(is_run=True)
+                    .registered(2, um)
+                    .physics.registration
+                    for um in (array_um, (32.0, 32.0))
+                )
+            )
+            % 1
+            for array_um in ((28.0, 32.0), (32.0, 28.0))
+        ],
+        [[0.5, 0.0], [0.0, 0.5]],
+        atol=1e-15,
+    ),
+    Claim(
         "edges of pixels of which one begins a quarter behind the middle",
         lambda: displays.pixel_edges_um(12.0, 3, 3.0, 0.25),
         [0.75, 3.75, 6.75, 9.75],
@@ -840,6 +858,14 @@ JUDGES = [
             why="first order of the amplitude",
         )
         for order in (4, 40)
+    ),
+    Claim(
+        "visual noise of 12 half-waves of 1e-5 in the dark, where L* is (29/3)³ Y",
+        lambda: metrics.visual_noise(
+            np.tile(0.004 + 1e-5 * np.cos(np.pi * 12 * (np.arange(64) + 0.5) / 64), (64, 1)), 40.0
+        ),
+        (29 / 3) ** 3 * 1e-5 / math.sqrt(2) * csf(12 / 2 / 64 * 40.0),
+        rtol=1e-12,
     ),
     Claim(
         "light for an SNR of 10 of shot noise: 100 e-, and a quarter for four pixels a dot",

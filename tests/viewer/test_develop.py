@@ -503,7 +503,13 @@ def test_denoised_frames_are_nearer_to_the_expected_light(
     colour: str, denoise: str | Callable
 ) -> None:
     """And as bright in the mean, whose σ is 0.1 %: the transforms lose nothing."""
-    chain = chain_of_steps({"denoise": denoise}, colour, picture=np.clip(detailed(), 0.35, 0.75))
+    chain = chain_of_steps(
+        {"denoise": denoise},
+        colour,
+        np.clip(detailed(), 0.35, 0.75),
+        dark_current_e_per_s=2e4,
+        dsnu=0,
+    )
     frame = chain.capture("frame")
     expected = chain.signal_e_per_s * SHORT_S
     raw = STEPS["denoise"].apply(frame.estimate_e, chain.development.undeveloped(frame, None))
@@ -774,23 +780,25 @@ def test_covariance_behind_a_filter_is_that_of_the_matrices() -> None:
 
 
 @pytest.mark.parametrize(
-    ("colour", "develop", "gate"),
+    ("colour", "develop", "fields", "gate"),
     [
-        ("", {}, 0.01),
-        ("stacked", {"sharpen_amount": 1.0}, 0.03),
+        ("", {}, {}, 0.01),
+        # Of 2560 columns and of 2560 rows their variance is known to 3 %.
+        ("", {}, {"column_fpn": 2e-3, "row_noise_e": 40.0}, 0.1),
+        ("stacked", {"sharpen_amount": 1.0}, {}, 0.03),
         # Interpolation has no borders, where the filter leaves more of the noise of 64 × 64 pixels.
-        ("rggb", {"demosaic": "bilinear"}, 0.04),
+        ("rggb", {"demosaic": "bilinear"}, {}, 0.04),
     ],
 )
 def test_covariance_behind_the_bound_is_that_of_frames(
-    colour: str, develop: dict, gate: float
+    colour: str, develop: dict, fields: dict, gate: float
 ) -> None:
     """40 frames of uniform light through the filter of a picture, which passes noise as it passes
     a picture: each element is known to 0.25 %.
     """
     develop = {"denoise": "wiener_bound", **develop}
-    chain = chain_of_steps(develop, colour)
-    uniform = chain_of_steps(develop, colour, picture=0.5)
+    chain = chain_of_steps(develop, colour, **fields)
+    uniform = chain_of_steps(develop, colour, picture=0.5, **fields)
     still = noiseless(chain, SHORT_S)
     raw = chain.development.undeveloped(still, None)
     expected = noise_covariance(raw, np.full((1, len(chain.whites_e_per_s)), 0.5), None)[0]
@@ -850,14 +858,20 @@ def test_tone_curve_lies_next_to_its_file(tmp_path) -> None:
     )
 
 
-def test_pixels_within_a_cell_of_a_saturated_one_are_neutral() -> None:
-    """A cell of 2 × 2 reaches one pixel to each side."""
-    colour = {"pattern": "rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6}
+@pytest.mark.parametrize(
+    ("pattern", "row", "neutral_pixels"),
+    [("rggb", 4, np.s_[3:6, 3:6]), ("stacked", 9 + 4, np.s_[4, 4])],
+)
+def test_pixels_within_a_cell_of_a_saturated_one_are_neutral(
+    pattern: str, row: int, neutral_pixels: tuple
+) -> None:
+    """A cell of 2 × 2 reaches one pixel to each side; of layers, here the second, it is one."""
+    colour = {"pattern": pattern, "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6}
     layout = derive(Pixel(technology="4t-bsi", pitch_um=3.0, colour=colour)).layout
     planes = [np.full((9, 9), level) for level in (1.0, 2.0, 3.0)]
-    is_saturated = np.zeros((9, 9), bool)
-    is_saturated[4, 4] = True
+    is_saturated = np.zeros((9 * layout.planes, 9), bool)
+    is_saturated[row, 4] = True
     _whiten(planes, is_saturated, layout)
     neutral = np.zeros((9, 9), bool)
-    neutral[3:6, 3:6] = True
+    neutral[neutral_pixels] = True
     np.testing.assert_array_equal(planes[0] == planes[2], neutral)
