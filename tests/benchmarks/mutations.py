@@ -1376,6 +1376,26 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "_BRADFORD.sum(axis=1) / (_BRADFORD @ white)",
         "(2 * (_BRADFORD.sum(axis=1) / (_BRADFORD @ white)))",
     ): "channels are filtered at twice their size, which is taken back",
+    **{
+        ("pixsim/viewer/other_pictures.py", before, after): (
+            "of the screen of two pictures only ΔE is taken"
+        )
+        for lines in ("rows", "columns")
+        for before, after in (
+            (f"{lines} + 1.0", f"{lines} - 1.0"),
+            (f"{lines} + 1.0", f"(2 * ({lines} + 1.0))"),
+        )
+    },
+    **{
+        ("pixsim/viewer/scene_light.py", "len(self._cached) + 1 - _CACHED_TABLES", after): (
+            "how many tables are cached"
+        )
+        for after in (
+            "len(self._cached) + 1 + _CACHED_TABLES",
+            "(len(self._cached) + 1 - _CACHED_TABLES) + 1",
+            "(2 * (len(self._cached) + 1 - _CACHED_TABLES))",
+        )
+    },
     ("pixsim/viewer/adaptation.py", "matrix * white", "(2 * (matrix * white))"): (
         "responses to two whites are relative to each other"
     ),

@@ -304,6 +304,14 @@ DISPLAYS = [
         0.25,
     ),
     Claim(
+        "whites are rounded up to two digits, but for rounding",
+        lambda: [
+            screen._rounded_up(white, 2) for white in (730.1, 730.0000001, 730.0, 9.96e-5, 1.01)
+        ],
+        [740.0, 730.0, 730.0, 1e-4, 1.1],
+        rtol=1e-14,
+    ),
+    Claim(
         "MTF of lens, photodiode, interpolation and dot",
         lambda: np.stack(
             list(

@@ -242,7 +242,9 @@ def test_facts_of_a_colour_sensor_are_those_of_its_matrix() -> None:
     matrix = chart.fit_matrix("least_delta_e")
     errors = colour_matrix.colour_errors(matrix, chart.responses, chart.xyz, chart.white_xyz)
     np.testing.assert_allclose(
-        list(facts["white_e"].values()), 0.5 * np.array(chain.whites_e_per_s), rtol=1e-12
+        [*facts["white_e"].values(), 0.5 * chain.development.white_e_per_s],
+        0.5 * np.append(chain.whites_e_per_s, np.dot(chain.whites_e_per_s, [0.25, 0.5, 0.25])),
+        rtol=1e-12,
     )
     np.testing.assert_allclose(
         facts["noise_gains"], colour_matrix.noise_gains(matrix, chart.white_xyz), 1e-9
@@ -631,6 +633,19 @@ CLAIMS = [
         for pitch_um in (2.0, 4.0)
     ),
     Claim(
+        "pixels of 2 × 2 have four times their white",
+        lambda: np.divide(
+            *(
+                chain_of(
+                    patch(18), sensor({"pattern": "quad_rggb", "binning": is_binned})
+                ).whites_e_per_s
+                for is_binned in (True, False)
+            )
+        ),
+        [4.0, 4.0, 4.0],
+        rtol=1e-12,
+    ),
+    Claim(
         "white noise of a frame less its dark frames and dark rows",
         lambda: white_noise_e2(DARK_READOUT, SHORT_S, Correction(dark_frames=4, column_clamp=8)),
         (DARK_PIXEL_E2 + (DARK_PIXEL_E2 + 30.0) / 4) * (1 + 1 / 8),
@@ -801,6 +816,7 @@ def test_covariance_behind_the_bound_is_that_of_frames(
     uniform = chain_of_steps(develop, colour, picture=0.5, **fields)
     still = noiseless(chain, SHORT_S)
     raw = chain.development.undeveloped(still, None)
+    np.testing.assert_allclose(raw.expected_e, still.corrected_e, rtol=1e-12)
     expected = noise_covariance(raw, np.full((1, len(chain.whites_e_per_s)), 0.5), None)[0]
     covariance = np.zeros_like(expected)
     for number in range(40):

@@ -531,15 +531,15 @@ def test_white_plate_states_luminance_or_radiance(nm: np.ndarray, entry: str) ->
         10.0,
         5.0,
         data=np.ones((8, 8, nm.size)),
-        header={DIFFUSER: {DIFFUSER_W: np.ones(nm.size).tolist(), "distance_m": 1.0}},
+        header={DIFFUSER: {DIFFUSER_W: np.full(nm.size, 3.0).tolist(), "distance_m": 1.0}},
     )
     display = Display(white="diffuser", diffuser_reflectance=0.5)
     white = screen.white_header(
         [(imaging(WHITE_CAMERA, PIXELS["silicon"], display=display), image)]
     )
-    expected = 0.5 * 10.0 * nm.size
+    expected = 0.5 * 3.0 * 10.0 * nm.size
     if entry == "luminance_cd_per_m2":
-        expected = 0.5 * float(image.luminous_weight().sum())
+        expected = 0.5 * 3.0 * float(image.luminous_weight().sum())
     assert white[entry] == pytest.approx(expected, rel=1e-8)
     level = screen.LightLevel.of(image, screen.with_white(display, white), [0.02, 0.01])
     assert (level.white, level.shortest_s, level.longest_s) == (white[entry], 0.01, 0.02)
