@@ -187,6 +187,11 @@ TABLES = [
     ("chief_ray_angle", f"{ANGLES}0,0\n1e-9,1\n2,2\n", "with 1e-09 mm"),
     ("chief_ray_angle", f"{ANGLES}0,0\n1.5,20\n", "up to the corner.*1.9189 mm"),
     ("chief_ray_angle", f"{ANGLES}0,0\n1.9,62\n2,5\n", "62 degrees at 1.9 mm.*horizon"),
+    (
+        "chief_ray_angle",
+        f"{ANGLES}0,0\n1.418805,40\n2.418805,56\n",
+        "48 degrees at 1.919 mm.*horizon",
+    ),
     ("chief_ray_angle", f"{BOTH}0,0,100\n2,3,80\n", "100 in row 1.*percentages"),
     ("chief_ray_angle", f"{BOTH}0,0,.8\n2,3,.7\n", "0.8 on the axis"),
     ("chief_ray_angle", f"{BOTH}0,0,1\n2,3,-.1\n", "-0.1 in row 2"),
