@@ -1396,6 +1396,33 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             "(2 * (len(self._cached) + 1 - _CACHED_TABLES))",
         )
     },
+    **{
+        ("pixsim/viewer/scene_light.py", before, after): "how many scenes are cached"
+        for before, after in (
+            (
+                "2 * self.channels * math.prod(self.irradiance.shape)",
+                "(2 * (2 * self.channels * math.prod(self.irradiance.shape)))",
+            ),
+            ("8 * (samples + planes_a_dot * dots)", "(2 * (8 * (samples + planes_a_dot * dots)))"),
+            ("samples + planes_a_dot * dots", "(2 * (samples + planes_a_dot * dots))"),
+            ("len(self._cached) + 1", "len(self._cached) - 1"),
+        )
+    },
+    **{
+        ("pixsim/viewer/evaluate.py", before, after): "how many chains are cached"
+        for before, after in (
+            (
+                "other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes",
+                "other.signal_e_per_s.nbytes - 3 * other.screen.ideal.nbytes",
+            ),
+            (
+                "other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes",
+                "(2 * (other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes))",
+            ),
+            ("3 * other.screen.ideal.nbytes", "3 / other.screen.ideal.nbytes"),
+            ("3 * other.screen.ideal.nbytes", "(2 * (3 * other.screen.ideal.nbytes))"),
+        )
+    },
     ("pixsim/viewer/adaptation.py", "matrix * white", "(2 * (matrix * white))"): (
         "responses to two whites are relative to each other"
     ),

@@ -17,7 +17,7 @@ from pixsim import Camera, Correction, Develop, Display, Exposure, Pixel, Spectr
 from pixsim.light.spectral import colour_matching, luminous_weight
 from pixsim.light.standard import illuminant, patch_reflectance
 from pixsim.optics import irradiance_factor
-from pixsim.sensor.correction import flat_light_e
+from pixsim.sensor.correction import flat_light_e, residual_variance_e2
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
@@ -31,6 +31,7 @@ from pixsim.viewer.develop_steps import (
     RAW,
     STEPS,
     _ChannelNoise,
+    _noise_of_merge,
     _whiten,
     autocorrelation,
     developed_planes,
@@ -592,6 +593,7 @@ LINE_READOUT = Readout.of(
         )
     )
 )
+MERGED = chain_of_steps({}, readout={"kind": "staggered", "ratio": 16.0})
 DARK_ROW_E2 = DARK_PIXEL_E2 + 30.0
 CLAIMS = [
     *(
@@ -720,6 +722,20 @@ CLAIMS = [
         + np.array([[4.0, 6.0], [6.0, 9.0]]) * 5 / 12
         + np.diag([1.0, 25.0]) * 5 / 12,
         rtol=1e-14,
+    ),
+    Claim(
+        "the table of the noise of merged readings goes 6 deviations beyond a picture",
+        lambda: _noise_of_merge(
+            np.array([[-5.0, 5e3]]), MERGED.development.undeveloped(noiseless(MERGED), None)
+        ).level_e[[0, -1]],
+        np.array([-5.0, 5e3])
+        + np.array([-6, 6])
+        * np.sqrt(
+            residual_variance_e2(
+                np.array([0.0, 5e3]), TIME_S, MERGED.readout, Correction()
+            ).temporal
+        ),
+        rtol=1e-12,
     ),
     Claim(
         "all primaries of a dot have one factor behind an operator",

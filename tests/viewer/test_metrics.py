@@ -723,6 +723,26 @@ CLAIMS = [
         )
     ),
     Claim(
+        "three repeats take six registrations, each of them once",
+        lambda: [
+            frame.readout.physics.registration
+            for chain in [chain_of(metrics=request("detectability", 3))]
+            for number in range(3)
+            for frame in list(
+                FrameUnderTest.of(chain, chain.capture("a"), number).registrations(6)
+            )[1:]
+        ],
+        [derive(PIXEL).registered(number).registration for number in (3, 4, 5)],
+    ),
+    Claim(
+        "values of what a study minimises",
+        lambda: [
+            METRICS[name].from_loss(METRICS[name].loss(np.array([0.5, 4.0])))
+            for name in ("detectability", "delta_e")
+        ],
+        [[0.5, 4.0], [0.5, 4.0]],
+    ),
+    Claim(
         "NIIRS of the plane in focus, and at ten times its distance",
         lambda: [
             niirs_from(ground_distance_m=factor * CAMERA.object_distance_m) - niirs_from()
