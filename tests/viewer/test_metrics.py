@@ -726,7 +726,7 @@ CLAIMS = [
         "three repeats take six registrations, each of them once",
         lambda: [
             frame.readout.physics.registration
-            for chain in [chain_of(metrics=request("detectability", 3))]
+            for chain in [chain_of(metrics=request("information", 3))]
             for number in range(3)
             for frame in list(
                 FrameUnderTest.of(chain, chain.capture("a"), number).registrations(6)
