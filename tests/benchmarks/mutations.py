@@ -516,6 +516,21 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "int((high - low) * _TABLE_STEPS) + 2",
         "(2 * (int((high - low) * _TABLE_STEPS) + 2))",
     ): "a longer table",
+    (
+        "pixsim/optics/stack.py",
+        "(end - start) * ((end + start) / 2 if power else 1.0)",
+        "(2 * ((end - start) * ((end + start) / 2 if power else 1.0)))",
+    ): "shares are ratios of two such moments",
+    (
+        "pixsim/optics/lens.py",
+        "np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS",
+        "(2 * (np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS))",
+    ): "rays are aimed from a fit to other points",
+    (
+        "pixsim/light/spectral.py",
+        "step_nm / 2",
+        "(2 * (step_nm / 2))",
+    ): "in exact steps, a whole step beyond the end is not reached",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -9,7 +9,7 @@ import pytest
 from helpers.claims import check
 
 from pixsim import Pixel
-from pixsim.light.curves import as_curves, read_curve
+from pixsim.light.curves import as_curves, as_quantum_efficiency, read_curve
 from pixsim.light.tables import read_table, unit_hint
 from pixsim.scene.guard.assets import spectrum_value
 
@@ -97,6 +97,7 @@ def test_quantum_efficiency_of_an_instrument(name: str, digit: float) -> None:
     check("efficiency", values, [31, 0.2311, 0.7, 0.2311], atol=digit, why="half a digit")
     plain = read_curve(CASES / "28-csv-qe/plain.csv")
     check("curve", list(curve.items()), np.array(plain), atol=digit, why="half a digit")
+    check("falling", as_quantum_efficiency(plain[::-1]), np.array(plain), why="the same pairs")
 
 
 @pytest.mark.parametrize(
