@@ -526,11 +526,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS",
         "(2 * (np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS))",
     ): "rays are aimed from a fit to other points",
-    (
-        "pixsim/light/spectral.py",
-        "step_nm / 2",
-        "(2 * (step_nm / 2))",
-    ): "in exact steps, a whole step beyond the end is not reached",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -541,6 +541,7 @@ REFUSALS = [
     ("widths", lambda: SpectralImage([550.0], [1.0, 2.0], 1.0, data=DATA), "band_width_nm: got"),
     ("no bands", lambda: SpectralImage([], 10.0, 1.0, data=DATA), "wavelength_nm: got"),
     ("margin", lambda: image(margin=1), "margin: got 1"),
+    ("half of the rows", lambda: image(data=np.ones((4, 9, 1)), margin=2), "margin: got 2"),
     ("planes", lambda: image().with_planes(np.ones((2, 2, 2), np.float32)), "planes: got"),
     ("a second band", lambda: image().band(1), "index: got 1"),
     ("weights", lambda: image().weighted(np.ones(2)), "weight: got"),
