@@ -1030,6 +1030,17 @@ KERNELS = [
         rtol=1e-9,
     ),
     Claim(
+        "an error of 1 % at the Nyquist frequency along rows is that of 32 of 32² - 1 frequencies",
+        lambda: picture_error(
+            1 + 0.01 * (np.arange(17) == 16) * np.ones((32, 1)) + 0j,
+            np.ones((32, 17), complex),
+            1.0,
+            1e-9,
+        ),
+        0.01 * math.sqrt(32 / 1023),
+        rtol=1e-9,
+    ),
+    Claim(
         "PSFs of 9 coarse cells: all of 36 frequencies that have no Nyquist frequency",
         lambda: radial_psfs(ideal_light_at(8.0), 40.0, 9, 16.0, 50.0).last_frequency,
         17,
