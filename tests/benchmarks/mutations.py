@@ -1221,6 +1221,33 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.array(diode.knees_v) * diode.thermal_v",
     ): "a panel across the knee of a capacitance, whose slope goes on, errs by less than 1e-13",
     ("pixsim/sensor/raw.py", "8", "(8) + 1"): "how many names a message lists",
+    **{
+        ("pixsim/sensor/photodiode.py", before, after): "a search of the same limit in other steps"
+        for before, after in (
+            ("4", "(4) + 1"),
+            ("_SEARCH_RANGE[0] * full_well_e", "_SEARCH_RANGE[0] / full_well_e"),
+            ("_SEARCH_RANGE[0] * full_well_e", "(2 * (_SEARCH_RANGE[0] * full_well_e))"),
+            ("_SEARCH_RANGE[1] * full_well_e", "(2 * (_SEARCH_RANGE[1] * full_well_e))"),
+        )
+    },
+    (
+        "pixsim/sensor/motion.py",
+        "math.isqrt(count - 1) + 1",
+        "(2 * (math.isqrt(count - 1) + 1))",
+    ): "tables of more fine steps have the same products",
+    (
+        "pixsim/sensor/saturation.py",
+        "coarse_e.size - 1",
+        "(2 * (coarse_e.size - 1))",
+    ): "the peak is never at the brightest light, beyond the clip",
+    (
+        "pixsim/sensor/spectral_range.py",
+        "power * _response(channel)",
+        "(2 * (power * _response(channel)))",
+    ): "a share of electrons is that of twice as many",
+    ("pixsim/sensor/integration.py", "electrons * self.seen", "(2 * (electrons * self.seen))"): (
+        "bands are weighed against each other"
+    ),
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),

@@ -971,6 +971,14 @@ PHOTODIODES = [
         [1, 0],
     ),
     Claim(
+        "a soft well has lost a millionth of it just beyond its linear limit",
+        lambda: [
+            charge_e - charge_from_total_e(np.array(charge_e / 0.03), np.array(0.03), DIODE) > 0.09
+            for charge_e in linear_limit_e(DIODE, 9e4, 0.03) * np.array([1 - 1e-7, 1 + 1e-7])
+        ],
+        [0, 1],
+    ),
+    Claim(
         "dim pixels beside full ones keep their charge",
         lambda: stored_signal_e(
             np.array([1.0, 1e3, 1e6]), 0.03, Readout.of(pixel_035(well_limit="diode"))
@@ -1564,6 +1572,17 @@ READING = [
             ("of the well", {}, 0.0, math.ceil(224.4994 * 16383 / 20_224.4994) + 1),
             ("of the well", {}, 20.0, math.ceil(224.4994 * 16383 / 2224.4994) + 1),
         )
+    ),
+    Claim(
+        "the black level of each of four exposures, in a quarter of their time",
+        lambda: least_black_level_dn(
+            readout(
+                **QUIET_SHEET
+                | {"offset_fpn": 0.0, "column_fpn": 0.0, "dsnu": 0.0, "gain_e_per_dn": 2.0}
+            ).burst(4),
+            0.8,
+        ),
+        math.ceil(224.5 / 2) + 1,
     ),
     *(
         Claim(f"black level of a data sheet that states none, {name}", level_dn, expected)

@@ -36,6 +36,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.merge import (
     by_level,
     level_variance_e2,
+    line_variance_e2,
     mean_weights,
     merged_level,
     merged_variance_e2,
@@ -413,6 +414,26 @@ NUMBERS = [
         ],
         [1 / 1.5, 49 / 200 / 1.5],
         12,
+    ),
+    (
+        "row noise of four exposures, of both photodiodes of a split pixel",
+        lambda: [
+            line_variance_e2(
+                Readout.of(
+                    derive(
+                        pixel(
+                            KINDS["split"][0] | {"dark_current_e_per_s": [5e4, 80]}, row_noise_e=8.0
+                        )
+                    )
+                ).burst(4),
+                level_e,
+                4 * TIME_S,
+                "row",
+            )
+            for level_e in (4 * 1.5e4, 4 * 1.8e4)  # beside 5000 e- of dark charge in each
+        ],
+        [4 * 64, 4 * 64 / 0.01**2],
+        6,
     ),
     (
         "a split pixel has a variance up to where light and dark charge fill its small photodiode",

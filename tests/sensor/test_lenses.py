@@ -326,6 +326,10 @@ def test_veil_of_a_real_lens_is_beside_its_blur() -> None:
     expected = 0.96 * blurred + 0.04 * white * (1 - SHARE)
     np.testing.assert_allclose(rate(image, camera), expected, rtol=0, atol=1e-6 * white)
     assert blurred.std() > 0.1 * white
+    uniform = image.with_planes(np.ones_like(image.planes)), 0
+    part = PartBehindLens([uniform], (0.0, 0.0), np.ones(1), ((SIDE, SIDE), SAMPLE_UM))
+    (light,) = part.rates(bare, Tiling(300.0, 90.0, 0.0), np.array([5.0]), None)
+    np.testing.assert_allclose(light, 5.0, rtol=1e-5)
 
 
 # OpticStudio's relative illumination of a phone lens (Lyu et al. 2022), mm and relative to the

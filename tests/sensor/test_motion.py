@@ -4,7 +4,7 @@ moved form is known and the lamp's light over each exposure.
 
 import math
 import warnings
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -111,10 +111,12 @@ def test_contrast_of_a_wave_is_the_mean_of_two_sincs(
     ],
 )
 def test_light_is_conserved(motion: ImageMotion) -> None:
-    """Pixels that fill the picture have all light of a spot that stays inside, in any unit."""
+    """Pixels that fill the picture have all light of a spot that stays inside, in any unit and place."""
     rows, columns = np.indices((240, 200))
     samples = 1 + 5 * np.exp(-((rows - 118) ** 2 + (columns - 101) ** 2) / 50)
     assert moved(samples, motion, 2.0).sum() == pytest.approx(samples.sum(), rel=1e-9)
+    farther = moved(samples, replace(motion, shift_um=(0.0, 4.0)))
+    np.testing.assert_allclose(farther[:, 2:], moved(samples, motion)[:, :-2], rtol=1e-9)
     samples *= 1 + 0.3 * np.cos(1.3 * rows) * np.cos(1.1 * columns)  # detail up to the borders
     tripled = ImageMotion(*(tuple(3 * um for um in pair) for pair in astuple(motion)))
     np.testing.assert_allclose(
