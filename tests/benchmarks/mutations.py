@@ -1248,6 +1248,19 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/integration.py", "electrons * self.seen", "(2 * (electrons * self.seen))"): (
         "bands are weighed against each other"
     ),
+    (
+        "pixsim/sensor/spectral_range.py",
+        "np.array(lamps, float).reshape(-1, cells) * _response(physics)",
+        "(2 * (np.array(lamps, float).reshape(-1, cells) * _response(physics)))",
+    ): "a share of electrons is that of twice as many",
+    (
+        "pixsim/sensor/photodiode.py",
+        "round(2 * _BUMP / _PANEL) + 1",
+        "(2 * (round(2 * _BUMP / _PANEL) + 1))",
+    ): "more panels of a quadrature that is right to 1e-15",
+    ("pixsim/sensor/merge.py", "number", "(number) + 1"): (
+        "the charge of the reading itself is stated in the next line"
+    ),
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),
