@@ -526,6 +526,11 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS",
         "(2 * (np.pi / 2 * (np.arange(_RINGS) + 1) / _RINGS))",
     ): "rays are aimed from a fit to other points",
+    (
+        "pixsim/optics/lens.py",
+        "np.arange(_SPOKES) / (_SPOKES - 1) - 0.5",
+        "np.arange(_SPOKES) / (_SPOKES - 1) + 0.5",
+    ): "points of the other half of the stop, which is alike",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),

@@ -110,7 +110,7 @@ def test_quantum_efficiency_of_an_instrument(name: str, digit: float) -> None:
     ],
 )
 def test_units_of_channels(title: str, name: str, expected: list[float], tmp_path: Path) -> None:
-    rows = "\n".join(f"{nm};50;40;30" for nm in range(700, 399, -10))
+    rows = "\n".join(f"{nm};50;40;30" for nm in range(700, 399, -20))
     colour: dict = {name: written(tmp_path, f"{title}\n{rows}\n")}
     if name == "sensitivities":
         colour["peak_quantum_efficiency"] = 0.6
