@@ -522,7 +522,12 @@ def test_sensors_share_the_largest_of_their_whites() -> None:
 
 
 @pytest.mark.parametrize(
-    ("nm", "entry"), [(WIDE_NM[:29], "luminance_cd_per_m2"), (WIDE_NM[42:], "white_w_per_m2_sr")]
+    ("nm", "entry"),
+    [
+        (WIDE_NM[:29], "luminance_cd_per_m2"),
+        (WIDE_NM[31:], "luminance_cd_per_m2"),  # 0.105 lm/W
+        (WIDE_NM[42:], "white_w_per_m2_sr"),
+    ],
 )
 def test_white_plate_states_luminance_or_radiance(nm: np.ndarray, entry: str) -> None:
     """Of a reflectance of ½ in equal power: Σ over the bands, in the visible and the infrared."""
