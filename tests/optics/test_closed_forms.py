@@ -500,6 +500,18 @@ RAYS = [
         atol=1e-14,
         why="rounding",
     ),
+    Claim(
+        "a ray on the edge of an aperture passes, one beyond does not",
+        lambda: [
+            intersect(
+                rays_from(*map(np.array, (0.0, height_mm, 0.0, 0.0, 0.0, 1.0))),
+                Surface(0.0, 1.0, semi_diameter_mm=2.0, clips=True),
+                1.0,
+            ).passed
+            for height_mm in (2.0, 2.0 + 1e-11)
+        ],
+        [1, 0],
+    ),
     *(
         Claim(
             f"a plate at {deg:g}°: d tan θ', sin θ, n d/cos θ'",
