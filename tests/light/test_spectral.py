@@ -537,6 +537,7 @@ REFUSALS = [
     ("bands first", lambda: image(data=np.ones((1, 4, 4))), "moveaxis"),
     ("factors", lambda: image(data=None, factors=(np.ones((2, 1)), PLANES)), "factors: got"),
     ("nodes", lambda: image(within=([[550.0]], [[0.5, 0.5]])), "within: got"),
+    ("a line of nodes", lambda: image(within=([550.0], [1.0])), "within: got"),
     ("rows of nodes", lambda: image(within=(np.ones((2, 1)), np.ones((2, 1)))), "within: got"),
     ("widths", lambda: SpectralImage([550.0], [1.0, 2.0], 1.0, data=DATA), "band_width_nm: got"),
     ("no bands", lambda: SpectralImage([], 10.0, 1.0, data=DATA), "wavelength_nm: got"),
