@@ -1267,6 +1267,9 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/merge.py", "number", "(number) + 1"): (
         "the charge of the reading itself is stated in the next line"
     ),
+    ("pixsim/sensor/dynamic_range.py", "_STEPS", "(_STEPS) + 1"): (
+        "one more step of a bisection that has no more digits"
+    ),
     ("pixsim/sensor/pixel.py", "_INVERSION_STEPS", "(_INVERSION_STEPS) + 1"): (
         "one more step towards a root that is reached long before"
     ),
