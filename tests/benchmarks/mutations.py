@@ -532,6 +532,12 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.arange(_SPOKES) / (_SPOKES - 1) + 0.5",
     ): "points of the other half of the stop, which is alike",
     ("pixsim/light/exr.py", "end", "(end) + 1"): "a name that ends in a zero byte is text as well",
+    (
+        "pixsim/optics/glass.py",
+        "0 * square",
+        "(2 * (0 * square))",
+    ): "zeros in the shape of the wavelengths",
+    ("pixsim/optics/glass.py", "0 * square", "0 / square"): "zeros in the shape of the wavelengths",
     ("pixsim/viewer/mtf.py", "0", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[0]"): (
         "pixels above and below collect what pixels on both sides do"
     ),
