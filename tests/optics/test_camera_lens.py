@@ -1418,6 +1418,22 @@ WAVELENGTHS = [
         atol=2.0,
         why="one band",
     ),
+    Claim(
+        "a lens of a tenth of the size has a tenth of the image circle",
+        lambda: np.divide(
+            *(
+                field_angles(
+                    with_lens("phone", mm, mm / 10, focal_length_mm=0.52 * mm).lens,
+                    mm / 10,
+                    mm / math.sqrt(2),
+                )[0][-1]
+                for mm in (1.0, 10.0)
+            )
+        ),
+        0.1,
+        rtol=1e-6,
+        why="the aim of chief rays",
+    ),
 ]
 
 
