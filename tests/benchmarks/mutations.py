@@ -1272,9 +1272,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
     ("pixsim/sensor/correction.py", "shading * balance", "(2 * (shading * balance))"): (
         "light is relative to its largest value"
     ),
-    ("pixsim/sensor/correction.py", "flat / shading", "(2 * (flat / shading))"): (
-        "outliers are relative to their spread, which light makes larger than that of rounding"
-    ),
     ("pixsim/viewer/sharpening.py", "axis", "{0: 1, 1: 0, -1: -2, -2: -1, 2: 1}[axis]"): (
         "a Gaussian blurs rows and columns in either order"
     ),

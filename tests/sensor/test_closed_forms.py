@@ -1021,7 +1021,7 @@ PHOTODIODES = [
             why="rounding; half of Newton's steps leave 5e-11",
         )
         for current in (1e3, 1e7, 1e10)
-        for above in (20.0, 2.0, 0.3)
+        for above in (20.0, 2.0, 0.3, 1e-3)
         for bias_v in (DIODE.open_circuit_v(current) + above * DIODE.thermal_v,)
     ),
     # As of a dark pixel's share below the mean: less than I_s e^(-V_0/V_T) collects nothing.
