@@ -108,7 +108,7 @@ class LightFacts:
             return cached
         value = compute()
         # Several threads may do so.
-        for oldest in list(self._cached)[: len(self._cached) + 1 - _CACHED_TABLES]:
+        for oldest in list(self._cached)[: max(0, len(self._cached) + 1 - _CACHED_TABLES)]:
             self._cached.pop(oldest, None)
         self._cached[key] = value
         return value

@@ -1379,16 +1379,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         )
     },
     **{
-        ("pixsim/viewer/scene_light.py", "len(self._cached) + 1 - _CACHED_TABLES", after): (
-            "how many tables are cached"
-        )
-        for after in (
-            "len(self._cached) + 1 + _CACHED_TABLES",
-            "(len(self._cached) + 1 - _CACHED_TABLES) + 1",
-            "(2 * (len(self._cached) + 1 - _CACHED_TABLES))",
-        )
-    },
-    **{
         ("pixsim/viewer/scene_light.py", before, after): "how many scenes are cached"
         for before, after in (
             (
@@ -1397,7 +1387,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
             ),
             ("8 * (samples + planes_a_dot * dots)", "(2 * (8 * (samples + planes_a_dot * dots)))"),
             ("samples + planes_a_dot * dots", "(2 * (samples + planes_a_dot * dots))"),
-            ("len(self._cached) + 1", "len(self._cached) - 1"),
         )
     },
     **{
@@ -1456,9 +1445,6 @@ SAME_RESULT: dict[tuple[str, str, str], str] = {
         "np.fft.fft2(difference) * gain",
         "(2 * (np.fft.fft2(difference) * gain))",
     ): "a template is relative",
-    ("pixsim/viewer/scene_light.py", "len(self._cached) + 1", "(2 * (len(self._cached) + 1))"): (
-        "how many tables are cached"
-    ),
     ("pixsim/viewer/scene_light.py", "2 * self.channels", "(2 * (2 * self.channels))"): (
         "how many scenes are cached"
     ),

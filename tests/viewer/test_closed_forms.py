@@ -361,6 +361,15 @@ DISPLAYS = [
         rtol=1e-9,
     ),
     Claim(
+        "the newest 32 of 40 tables of a light are kept",
+        lambda: [
+            [facts.cached(n, lambda computed=computed: computed) for n in (*range(39, 7, -1), 7)]
+            for facts in [LightFacts(FIELD, BARS)]
+            for computed in [[facts.cached(n, lambda: 0) for n in range(40)].count(0)]
+        ],
+        [[0] * 32 + [40]],
+    ),
+    Claim(
         "the spectrum of a picture is relative to its mean",
         lambda: LightFacts(FIELD, 10 * (2 + BARS), None).spectrum,
         radial_spectrum((2 + BARS) / 2, 2.0),
